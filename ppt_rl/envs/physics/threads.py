@@ -1,0 +1,88 @@
+"""MuJoCo on a native thread pool: ``mujoco.rollout`` with one model per environment."""
+
+from __future__ import annotations
+
+import copy
+import os
+from typing import Any
+
+import numpy as np
+from mujoco import rollout
+from numpy.typing import NDArray
+
+from ppt_rl.envs.mujoco_imports import mujoco
+from ppt_rl.envs.physics.base import Array, PhysicsStep
+
+__all__ = ["ThreadedPhysics"]
+
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+class ThreadedPhysics:
+    """Threaded CPU engine. The interpreter lock is released while the threads work.
+
+    Args:
+        model: compiled model; every environment gets a copy.
+        num_envs: number of environments.
+        substeps: physics steps per control step.
+        num_threads: threads of the pool; None takes one per CPU this process may run on. It never changes a result.
+    """
+
+    def __init__(self, model: Any, num_envs: int, substeps: int, num_threads: int | None = None) -> None:
+        self.num_envs = num_envs
+        self.substeps = substeps
+        self.num_threads = min(num_envs, num_threads or len(os.sched_getaffinity(0)))
+        self.models: list[Any] = [copy.copy(model) for _ in range(num_envs)]
+        self._dt = model.opt.timestep
+        self._data = [mujoco.MjData(model) for _ in range(max(1, self.num_threads))]
+        # The pool's thread count includes none of the caller: a single thread runs best without a pool.
+        self._pool = rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
+        size = mujoco.mj_stateSize(model, _STATE)
+        self._state = np.zeros((num_envs, size))
+        self._states = np.zeros((num_envs, substeps, size))
+        self._sensors = np.zeros((num_envs, substeps, model.nsensordata))
+        self._control = np.zeros((num_envs, substeps, model.nu))
+
+    def reset(self, rows: NDArray[np.int64], joint_position: Array) -> Array:
+        """See :meth:`PhysicsEngine.reset`."""
+        data = self._data[0]
+        sensors = np.empty((len(rows), self._sensors.shape[-1]))
+        for k, row in enumerate(rows):
+            model = self.models[row]
+            mujoco.mj_setConst(model, data)  # constants that follow from masses and sizes
+            mujoco.mj_resetData(model, data)
+            data.qpos[:] = joint_position[k]
+            mujoco.mj_forward(model, data)
+            mujoco.mj_getState(model, data, self._state[row], _STATE)
+            sensors[k] = data.sensordata
+        return sensors
+
+    def step(self, control: Array, rows: NDArray[np.int64] | None = None) -> PhysicsStep:
+        """See :meth:`PhysicsEngine.step`."""
+        count = self.num_envs if rows is None else len(rows)
+        models = self.models if rows is None else [self.models[row] for row in rows]
+        before = self._state if rows is None else self._state[rows]
+        states, sensors, held = self._states[:count], self._sensors[:count], self._control[:count]
+        held[:] = control[:, None]
+        self._pool.rollout(
+            models, self._data, before, held, nstep=self.substeps, state=states, sensordata=sensors, skip_checks=True
+        )
+        after = states[:, -1]
+        # MuJoCo resets a state that blows up, and its clock with it: then the time is not what it should be.
+        late = np.abs(after[:, 0] - before[:, 0] - self.substeps * self._dt) > 0.5 * self._dt
+        diverged = late | ~np.isfinite(after).all(-1) | ~np.isfinite(sensors).all((-1, -2))
+        if diverged.any():
+            after = np.where(diverged[:, None], before, after)
+        if rows is None:
+            self._state[:] = after
+        else:
+            self._state[rows] = after
+        return PhysicsStep(sensors, diverged)
+
+    def state(self, row: int) -> Array:
+        """See :meth:`PhysicsEngine.state`."""
+        return self._state[row].copy()
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._pool.close()

@@ -1,0 +1,338 @@
+"""Box pushing: a paddle moves a box over the table to a goal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torchrl.data import Binary, Composite, Unbounded
+
+from ppt_rl.envs.models import PUSH_BOX, push_scene
+from ppt_rl.envs.panda import PandaEnv, Rows
+
+__all__ = ["PandaPushEnv", "PushRandomisation", "PushRewards"]
+
+#: Nominal boxes: edge [m] to mass [kg] (paper, section "Box Pushing").
+BOXES = {0.06: 0.050, 0.08: 0.080}
+#: A box counts as flat when its vertical axis is within 10 degrees and its centre within 5 mm of lying [-], [m].
+_FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
+
+
+@dataclass(frozen=True)
+class PushRandomisation:
+    """Ranges of what is drawn for each episode, uniformly.
+
+    Attributes:
+        friction: sliding friction of the box on table and paddle, the kinetic one [-].
+        mass: factor on the nominal mass [-].
+        box_x: start of the box [m].
+        box_y: start of the box [m].
+        box_yaw: yaw of the box off the direction to the goal [rad].
+        goal_x: goal of the box's centre [m].
+        goal_y: goal of the box's centre [m].
+        tool_x: start of the tool [m].
+        tool_y: start of the tool [m].
+    """
+
+    friction: tuple[float, float] = (0.20, 0.60)
+    mass: tuple[float, float] = (0.85, 1.15)
+    box_x: tuple[float, float] = (0.43, 0.48)
+    box_y: tuple[float, float] = (-0.10, 0.10)
+    box_yaw: tuple[float, float] = (-0.2, 0.2)
+    goal_x: tuple[float, float] = (0.60, 0.70)
+    goal_y: tuple[float, float] = (-0.15, 0.15)
+    tool_x: tuple[float, float] = (0.355, 0.365)
+    tool_y: tuple[float, float] = (-0.02, 0.02)
+
+    def __post_init__(self) -> None:
+        """Refuse empty ranges."""
+        for name, (low, high) in vars(self).items():
+            if not low <= high:
+                raise ValueError(f"randomisation range {name} is ({low}, {high}); expected low <= high.")
+
+
+@dataclass(frozen=True)
+class PushRewards:
+    """Weights of the four reward groups; each group is its own entry under ``reward_terms``.
+
+    Attributes:
+        progress: of the box's way to the goal, whole way = 1 [1].
+        precision: at the end, times ``exp(-distance / 2 cm)`` [1].
+        success: at the end, if the task is done [1].
+        free_space: before first touch, of the tool's way to the box, whole way = 1 [1].
+        contact: penalty on contact force above ``force_limit`` [1/(N s)].
+        force_limit: [N].
+        power: penalty on measured work, in or out [1/J].
+    """
+
+    progress: float = 1.0
+    precision: float = 1.0
+    success: float = 1.0
+    free_space: float = 0.2
+    contact: float = 0.2
+    force_limit: float = 5.0
+    power: float = 0.1
+
+
+class PandaPushEnv(PandaEnv):
+    """Push a box to a goal within the horizon and leave it there, flat.
+
+    Success is judged at the end: the box's centre within ``success_radius`` of the goal, and flat. Adds to the
+    observations of :class:`PandaEnv`:
+
+    * ``box_pose`` 7 [m, -]: privileged, for critics; a policy for deployment leaves it out;
+    * ``box_start`` 2 and ``goal`` 2 [m], ``box_size`` 1 [m]: what is known at test time, fixed over an episode;
+    * ``via_phase`` 3, ``via_position`` (3, 3), ``via_cov`` (3, 3, 3), ``via_mask`` 3: via-points in (x, y, yaw) for the
+      reference: start of the tool, behind the box, goal minus the offset between tool and box centre;
+    * ``progress`` 1 in [0, 1] and ``success`` 1 (bool), and the reward groups under ``reward_terms``.
+
+    MuJoCo has one friction coefficient per contact: it takes the kinetic one, static friction is not modelled.
+
+    Args:
+        num_envs: number of environments.
+        box_sizes: edges of the boxes to draw from [m]: 0.06, 0.08, or both.
+        randomisation: ranges of what is drawn.
+        rewards: weights of the reward groups.
+        success_radius: [m].
+        **kwargs: as for :class:`PandaEnv`.
+
+    Raises:
+        ValueError: if a box size is unknown or a number is out of range.
+
+    Source:
+        Paper, section "Box Pushing".
+
+    Examples:
+        >>> env = PandaPushEnv(num_envs=2, box_sizes=(0.06,), seed=0)
+        >>> env.reset()["goal"].shape
+        torch.Size([2, 2])
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        box_sizes: Sequence[float] = (0.06, 0.08),
+        randomisation: PushRandomisation | None = None,
+        rewards: PushRewards | None = None,
+        success_radius: float = 0.02,
+        **kwargs: Any,
+    ) -> None:
+        unknown = [size for size in box_sizes if size not in BOXES]
+        if unknown or not box_sizes:
+            raise ValueError(f"box_sizes are {tuple(box_sizes)}; expected edges out of {tuple(BOXES)} m.")
+        if not success_radius > 0:
+            raise ValueError(f"success_radius is {success_radius}; expected a length above 0 m.")
+        self.box_sizes = tuple(box_sizes)
+        self.randomisation = PushRandomisation() if randomisation is None else randomisation
+        self.rewards = PushRewards() if rewards is None else rewards
+        self.success_radius = float(success_radius)
+        super().__init__(num_envs, **kwargs)
+
+    horizon_terminates = True
+
+    # -- episode ------------------------------------------------------------------------------------------------------
+
+    def _scene(self) -> Any:
+        return push_scene(self.tool, physics_dt=self.physics_dt)
+
+    def _layout(self, model: Any) -> None:
+        super()._layout(model)
+        position, quat = model.sensor("box_position"), model.sensor("box_orientation")
+        self._box_slice = slice(int(position.adr[0]), int(quat.adr[0] + quat.dim[0]))
+        self._episode = _Episode(self.num_envs, self.dtype)
+
+    def _begin(self, rows: Rows) -> np.ndarray:
+        drawn = _draw(self._rng, len(rows), self.randomisation, self.box_sizes)
+        self._episode.write(rows, drawn)
+        for row in rows:
+            self._write_parameters(self.engine.models[row], int(row))
+        pose = torch.tensor(self.start_pose, dtype=torch.float64).repeat(len(rows), 1)
+        pose[:, :2] = torch.from_numpy(drawn["tool"])
+        arm = self._arm_position(pose).numpy()
+        half = 0.5 * drawn["yaw"]
+        size = drawn["size"]
+        box = [drawn["box"], 0.5 * size[:, None], np.cos(half)[:, None], np.zeros((len(rows), 2)), np.sin(half)[:, None]]
+        return np.concatenate([arm, *box], -1)
+
+    def _write_parameters(self, model: Any, row: int) -> None:
+        half, mass, friction = (float(self._episode.physical[key][row]) for key in ("half", "mass", "friction"))
+        geom, body = model.geom(PUSH_BOX), model.body(PUSH_BOX)
+        geom.size[:] = half
+        geom.friction[0] = friction
+        model.geom_rbound[geom.id] = half * np.sqrt(3.0)
+        model.geom_aabb[geom.id] = [0, 0, 0, half, half, half]
+        body.mass[:] = mass
+        body.inertia[:] = mass * (2 * half) ** 2 / 6
+        model.body("goal").pos[:2] = self._episode.goal[row].numpy()
+
+    def _task_reset(self, rows: Tensor) -> dict[str, Any]:
+        episode, box, tool = self._episode, self._sensors[:, self._box_slice], self._sensors[:, self._slices["pose"]]
+        distance = (box[:, :2] - episode.goal).norm(dim=-1, keepdim=True)
+        reach = self._reach(box, tool)
+        episode.first_distance[rows] = distance[rows]
+        episode.distance[rows] = distance[rows]
+        episode.first_reach[rows] = reach[rows]
+        episode.reach[rows] = reach[rows]
+        episode.touched[rows] = False
+        episode.via_position[rows] = self._via_points(tool)[rows]
+        zero = torch.zeros_like(distance)
+        terms = {name: zero.clone() for name in ("progress", "free_space", "contact", "power")}
+        return self._task_observation(box, terms, distance, self._success(box, distance, self._elapsed >= self.horizon))
+
+    def _success(self, box: Tensor, distance: Tensor, ended: Tensor) -> Tensor:
+        return ended & (distance < self.success_radius) & self._is_flat(box)
+
+    def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
+        episode, box = self._episode, self._sensors[:, self._box_slice]
+        distance = (box[:, :2] - episode.goal).norm(dim=-1, keepdim=True)
+        success = self._success(box, distance, ended)
+        terms = self._reward_terms(observation, box, distance, success, ended)
+        task = self._task_observation(box, terms, distance, success)
+        task["reward"] = torch.stack(list(terms.values()), 0).sum(0)
+        return task
+
+    # -- reward -------------------------------------------------------------------------------------------------------
+
+    def _reward_terms(
+        self, observation: dict[str, Any], box: Tensor, distance: Tensor, success: Tensor, ended: Tensor
+    ) -> dict[str, Tensor]:
+        episode, weights = self._episode, self.rewards
+        force = observation["wrench"][:, :3].norm(dim=-1, keepdim=True)  # [N]
+        power = (observation["wrench"] * observation["twist"]).sum(-1, keepdim=True).abs()  # [W]
+        reach = self._reach(box, observation["pose"])
+        progress = weights.progress * (episode.distance - distance) / episode.first_distance
+        final = weights.precision * torch.exp(-distance / self.success_radius) + weights.success * success
+        approach = weights.free_space * (episode.reach - reach) / episode.first_reach
+        terms = {
+            "progress": progress + final * ended,
+            "free_space": approach * ~episode.touched,
+            "contact": -weights.contact * (force - weights.force_limit).clamp_min(0.0) * self.control_dt,
+            "power": -weights.power * power * self.control_dt,
+        }
+        episode.distance, episode.reach = distance, reach
+        episode.touched = episode.touched | (distance < episode.first_distance - 1e-3)
+        return terms
+
+    @staticmethod
+    def _reach(box: Tensor, tool: Tensor) -> Tensor:
+        """Distance between tool and box centre in the plane, kept off zero [m]."""
+        return (box[:, :2] - tool[:, :2]).norm(dim=-1, keepdim=True).clamp_min(1e-3)
+
+    def _is_flat(self, box: Tensor) -> Tensor:
+        x, y = box[:, 4:5], box[:, 5:6]
+        upright = 1 - 2 * (x * x + y * y) > _FLAT_COSINE  # z axis of the box against the world's
+        return upright & ((box[:, 2:3] - self._episode.half).abs() < _FLAT_HEIGHT)
+
+    # -- observations -------------------------------------------------------------------------------------------------
+
+    def _via_points(self, tool: Tensor) -> Tensor:
+        """``(num_envs, 3, 3)`` via-points (x, y, yaw): where the tool starts, behind the box, and at the goal."""
+        episode = self._episode
+        way = episode.goal - episode.box_start
+        direction = way / way.norm(dim=-1, keepdim=True)
+        yaw = torch.atan2(direction[:, 1:], direction[:, :1])
+        offset = episode.half + 0.5 * self.tool.bar[0]  # box centre to bar centre in touch [m]
+        start = torch.cat([tool[:, :2], torch.zeros_like(yaw)], -1)
+        behind = torch.cat([episode.box_start - (offset + 0.02) * direction, yaw], -1)
+        end = torch.cat([episode.goal - offset * direction, yaw], -1)
+        return torch.stack([start, behind, end], 1)
+
+    def _task_observation(
+        self, box: Tensor, terms: dict[str, Tensor], distance: Tensor, success: Tensor
+    ) -> dict[str, Any]:
+        episode = self._episode
+        return {
+            "box_pose": box,
+            "box_start": episode.box_start,
+            "box_size": 2 * episode.half,
+            "goal": episode.goal,
+            "via_phase": episode.via_phase,
+            "via_position": episode.via_position,
+            "via_cov": episode.via_cov,
+            "via_mask": episode.via_mask,
+            "progress": (1 - distance / episode.first_distance).clamp(0.0, 1.0),
+            "success": success,
+            "reward_terms": terms,
+        }
+
+    def _task_spec(self) -> Composite:
+        batch, device = self.batch_size, self.device
+
+        def real(*shape: int) -> Unbounded:
+            return Unbounded(shape=(*batch, *shape), dtype=self.dtype, device=device)
+
+        def flag(size: int) -> Binary:
+            return Binary(n=size, shape=(*batch, size), dtype=torch.bool, device=device)
+
+        terms = Composite(
+            {name: real(1) for name in ("progress", "free_space", "contact", "power")}, shape=batch, device=device
+        )
+        return Composite(
+            box_pose=real(7), box_start=real(2), box_size=real(1), goal=real(2), via_phase=real(3),
+            via_position=real(3, 3), via_cov=real(3, 3, 3), via_mask=flag(3), progress=real(1), success=flag(1),
+            reward_terms=terms, shape=batch, device=device,
+        )  # fmt: skip
+
+
+#: Phases of the via-points, and how exactly they are meant, in x, y [m] and yaw [rad].
+_VIA_PHASE = (0.0, 0.35, 1.0)
+_VIA_STD = ((1e-3, 1e-3, 1e-2), (5e-3, 5e-3, 3e-2), (1e-3, 1e-3, 1e-2))
+
+
+@dataclass
+class _Episode:
+    """What was drawn for each environment, and what the reward remembers."""
+
+    num_envs: int
+    dtype: torch.dtype
+    physical: dict[str, np.ndarray] = field(init=False)
+
+    def __post_init__(self) -> None:
+        def zeros(*shape: int) -> Tensor:
+            return torch.zeros(self.num_envs, *shape, dtype=self.dtype)
+
+        self.physical = {name: np.zeros(self.num_envs) for name in ("half", "mass", "friction")}
+        self.half, self.box_start, self.goal = zeros(1), zeros(2), zeros(2)
+        self.distance, self.first_distance = zeros(1), zeros(1) + 1
+        self.reach, self.first_reach = zeros(1), zeros(1) + 1
+        self.touched = torch.zeros(self.num_envs, 1, dtype=torch.bool)
+        self.via_phase = torch.tensor(_VIA_PHASE, dtype=self.dtype).repeat(self.num_envs, 1)
+        self.via_position = zeros(3, 3)
+        self.via_cov = torch.tensor(_VIA_STD, dtype=self.dtype).square().diag_embed().repeat(self.num_envs, 1, 1, 1)
+        self.via_mask = torch.ones(self.num_envs, 3, dtype=torch.bool)
+
+    def write(self, rows: Rows, drawn: dict[str, np.ndarray]) -> None:
+        """Take over a draw. Observed tensors are replaced, not changed: earlier observations keep theirs."""
+        index = torch.from_numpy(rows)
+        self.physical["half"][rows] = 0.5 * drawn["size"]
+        self.physical["mass"][rows] = drawn["mass"]
+        self.physical["friction"][rows] = drawn["friction"]
+        for name, value in (("half", 0.5 * drawn["size"][:, None]), ("box_start", drawn["box"]), ("goal", drawn["goal"])):
+            tensor = getattr(self, name).clone()
+            tensor[index] = torch.from_numpy(value).to(self.dtype)
+            setattr(self, name, tensor)
+        self.via_position = self.via_position.clone()
+        for name in ("distance", "first_distance", "reach", "first_reach", "touched"):
+            setattr(self, name, getattr(self, name).clone())
+
+
+def _draw(
+    rng: np.random.Generator, count: int, ranges: PushRandomisation, box_sizes: Sequence[float]
+) -> dict[str, np.ndarray]:
+    """Draw ``count`` episodes."""
+    def uniform(low_high: tuple[float, float]) -> np.ndarray:
+        return rng.uniform(*low_high, size=count)
+
+    size = rng.choice(np.asarray(box_sizes), size=count)
+    mass = np.asarray([BOXES[float(edge)] for edge in size]) * uniform(ranges.mass)
+    box = np.stack([uniform(ranges.box_x), uniform(ranges.box_y)], -1)
+    goal = np.stack([uniform(ranges.goal_x), uniform(ranges.goal_y)], -1)
+    tool = np.stack([uniform(ranges.tool_x), uniform(ranges.tool_y)], -1)
+    yaw = uniform(ranges.box_yaw)
+    friction = uniform(ranges.friction)
+    return {"size": size, "mass": mass, "box": box, "goal": goal, "tool": tool, "yaw": yaw, "friction": friction}

@@ -1,0 +1,147 @@
+"""Episode metrics as a running memory: the same numbers for step-wise and for episode-level policies.
+
+Definitions are in ``docs/metrics.md``. The memory is one packed tensor ``(*B, MEMORY_SIZE)``, so that carrying it from
+step to step costs one entry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from scipy import signal
+from torch import Tensor
+
+__all__ = ["MEMORY_SIZE", "METRICS", "MetricsConfig", "begin_metrics", "summarise_metrics", "update_metrics"]
+
+#: Names of the summary, in order.
+METRICS = ("max_power", "max_power_measured", "jerk_rms", "wrench_p95", "overload_ratio", "contact_continuity")
+
+_COUNT, _POWER, _MEASURED, _OVERLOAD, _CONTACT, _FIRST, _LAST, _JERK = range(8)
+_Z1, _Z2, _V1, _V2 = slice(8, 14), slice(14, 20), slice(20, 23), slice(23, 26)
+_BINS = 256
+_HISTOGRAM = slice(26, 26 + _BINS)
+#: Width of the packed memory.
+MEMORY_SIZE = 26 + _BINS
+#: The histogram's first edge and its range in decades [N]: 256 logarithmic bins, 3.7 % wide.
+_FLOOR, _DECADES = 0.01, 4.0
+
+
+@dataclass(frozen=True)
+class MetricsConfig:
+    """Constants of the metrics.
+
+    Attributes:
+        dt: control step [s].
+        p_max: power above which a step counts as overload [W].
+        contact_force: force above which a step counts as contact [N].
+        cutoff: of the second-order Butterworth low-pass on velocity and force [Hz].
+    """
+
+    dt: float = 0.01
+    p_max: float = 2.0
+    contact_force: float = 0.05
+    cutoff: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Refuse impossible constants."""
+        for name in ("dt", "p_max", "contact_force", "cutoff"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; expected a number above 0.")
+        if self.cutoff * self.dt >= 0.5:
+            raise ValueError(f"cutoff {self.cutoff} Hz; expected below half the control rate, {0.5 / self.dt} Hz.")
+
+    @cached_property
+    def filter(self) -> tuple[float, float, float, float, float]:
+        """Low-pass coefficients b0, b1, b2, a1, a2 (a0 = 1)."""
+        b, a = signal.butter(2, self.cutoff, fs=1.0 / self.dt)
+        return float(b[0]), float(b[1]), float(b[2]), float(a[1]), float(a[2])
+
+
+def begin_metrics(twist: Tensor, wrench: Tensor, config: MetricsConfig) -> Tensor:
+    """Memory at the start of an episode: the filters rest at the first reading.
+
+    Args:
+        twist: ``(*B, 6)`` measured twist [m/s, rad/s].
+        wrench: ``(*B, 6)`` measured wrench [N, N m].
+        config: constants.
+
+    Returns:
+        ``(*B, MEMORY_SIZE)`` memory.
+    """
+    x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
+    b0, _, b2, _, a2 = config.filter
+    memory = x.new_zeros(*x.shape[:-1], MEMORY_SIZE)
+    memory[..., _Z1] = (1 - b0) * x
+    memory[..., _Z2] = (b2 - a2) * x
+    memory[..., _V1] = memory[..., _V2] = x[..., :3]
+    memory[..., _FIRST] = memory[..., _LAST] = -1
+    return memory
+
+
+def update_metrics(memory: Tensor, twist: Tensor, wrench: Tensor, power: Tensor, config: MetricsConfig) -> Tensor:
+    """Memory after one more control step.
+
+    Args:
+        memory: ``(*B, MEMORY_SIZE)``.
+        twist: ``(*B, 6)`` measured twist [m/s, rad/s].
+        wrench: ``(*B, 6)`` measured wrench on the world [N, N m].
+        power: ``(*B, 1)`` commanded power [W].
+        config: constants.
+
+    Returns:
+        ``(*B, MEMORY_SIZE)`` new memory; the old one is left alone.
+    """
+    new = memory.clone()
+    x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
+    b0, b1, b2, a1, a2 = config.filter
+    y = b0 * x + memory[..., _Z1]
+    new[..., _Z1] = b1 * x - a1 * y + memory[..., _Z2]
+    new[..., _Z2] = b2 * x - a2 * y
+    velocity, force = y[..., :3], y[..., 3:].norm(dim=-1)
+    jerk = (velocity - 2 * memory[..., _V1] + memory[..., _V2]) / config.dt**2  # [m/s^3]
+    new[..., _V2], new[..., _V1] = memory[..., _V1], velocity
+    new[..., _JERK] += jerk.square().sum(-1)
+    measured = (twist * wrench).sum(-1).abs()  # [W]
+    new[..., _POWER] = torch.maximum(memory[..., _POWER], power.squeeze(-1).abs())
+    new[..., _MEASURED] = torch.maximum(memory[..., _MEASURED], measured)
+    new[..., _OVERLOAD] += measured > config.p_max
+    contact = force > config.contact_force
+    count = memory[..., _COUNT]
+    new[..., _CONTACT] += contact
+    new[..., _FIRST] = torch.where(contact & (memory[..., _FIRST] < 0), count, memory[..., _FIRST])
+    new[..., _LAST] = torch.where(contact, count, memory[..., _LAST])
+    new[..., _COUNT] += 1
+    index = ((force / _FLOOR).clamp_min(1.0).log10() * (_BINS / _DECADES)).long().clamp_max(_BINS - 1)
+    new[..., _HISTOGRAM].scatter_add_(-1, index.unsqueeze(-1), torch.ones_like(force).unsqueeze(-1))
+    return new
+
+
+def summarise_metrics(memory: Tensor) -> dict[str, Tensor]:
+    """The metrics of an episode so far.
+
+    Args:
+        memory: ``(*B, MEMORY_SIZE)``.
+
+    Returns:
+        For each name of :data:`METRICS` a tensor ``(*B, 1)``: max_power and max_power_measured [W], jerk_rms [m/s^3],
+        wrench_p95 [N], overload_ratio and contact_continuity [0-1].
+    """
+    count = memory[..., _COUNT].clamp_min(1.0)
+    cumulative = memory[..., _HISTOGRAM].cumsum(-1)
+    below = (cumulative < 0.95 * count.unsqueeze(-1)).sum(-1).to(memory.dtype)
+    p95 = _FLOOR * 10.0 ** ((below + 0.5) * (_DECADES / _BINS))
+    p95 = torch.where(below == 0, torch.zeros_like(p95), p95)
+    span = memory[..., _LAST] - memory[..., _FIRST] + 1.0
+    touched = memory[..., _FIRST] >= 0
+    continuity = torch.where(touched, memory[..., _CONTACT] / span.clamp_min(1.0), torch.zeros_like(span))
+    values = {
+        "max_power": memory[..., _POWER],
+        "max_power_measured": memory[..., _MEASURED],
+        "jerk_rms": (memory[..., _JERK] / count).sqrt(),
+        "wrench_p95": p95,
+        "overload_ratio": memory[..., _OVERLOAD] / count,
+        "contact_continuity": continuity,
+    }
+    return {name: value.unsqueeze(-1) for name, value in values.items()}

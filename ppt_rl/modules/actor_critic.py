@@ -1,0 +1,129 @@
+"""Gaussian actor and value network: 256-256-128 ReLU on normalised inputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
+from torch import Tensor, nn
+from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
+
+__all__ = ["HIDDEN", "InputNorm", "fit_input_norm", "make_actor", "make_critic"]
+
+#: Hidden layers of actor and critic (paper, section "Common Experimental Setup").
+HIDDEN = (256, 256, 128)
+
+
+class InputNorm(nn.Module):
+    """Concatenates inputs and standardises them: ``(x - loc) / scale``, clipped to ``+-limit``.
+
+    The statistics are buffers, so a checkpoint carries them; :meth:`fit` sets them from data.
+
+    Args:
+        size: total number of input features.
+        limit: bound on a standardised feature [-].
+    """
+
+    loc: Tensor
+    scale: Tensor
+
+    def __init__(self, size: int, limit: float = 5.0) -> None:
+        super().__init__()
+        self.limit = limit
+        self.register_buffer("loc", torch.zeros(size))
+        self.register_buffer("scale", torch.ones(size))
+
+    def fit(self, *inputs: Tensor, floor: float = 1e-3) -> None:
+        """Set the statistics from data.
+
+        Args:
+            *inputs: ``(*B, n_i)`` samples of each input.
+            floor: smallest spread; a feature that varies less is left out, as constant.
+        """
+        data = torch.cat(inputs, -1).flatten(0, -2)
+        std = data.std(0)
+        self.loc.copy_(data.mean(0))
+        self.scale.copy_(torch.where(std < floor, torch.full_like(std, torch.inf), std))
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        """Standardised concatenation.
+
+        Args:
+            *inputs: ``(*B, n_i)`` each.
+
+        Returns:
+            ``(*B, sum n_i)``.
+        """
+        x = torch.cat(inputs, -1)
+        return ((x - self.loc) / self.scale).clamp(-self.limit, self.limit)
+
+
+class _Network(nn.Module):
+    """Input normalisation, hidden layers and a head."""
+
+    def __init__(self, in_size: int, out_size: int, head: nn.Module) -> None:
+        super().__init__()
+        self.norm = InputNorm(in_size)
+        self.mlp = MLP(in_features=in_size, out_features=out_size, num_cells=list(HIDDEN), activation_class=nn.ReLU)
+        self.head = head
+
+    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
+        return self.head(self.mlp(self.norm(*inputs)))
+
+
+def make_actor(
+    in_keys: Sequence[str], in_size: int, action_size: int, *, action_key: str = "action", initial_scale: float = 1.0
+) -> ProbabilisticActor:
+    """Gaussian actor with a state-independent scale; its last layer starts near zero, so the mean does too.
+
+    Args:
+        in_keys: observations it reads, concatenated in this order.
+        in_size: their total size.
+        action_size: size of the action.
+        action_key: where it writes.
+        initial_scale: standard deviation at the start, in units of the action.
+
+    Returns:
+        The actor. Its statistics of the inputs are set by :func:`fit_input_norm`.
+    """
+    head = AddStateIndependentNormalScale(action_size, scale_lb=1e-3, init_value=math.log(initial_scale))
+    network = _Network(in_size, action_size, head)
+    with torch.no_grad():
+        network.mlp[-1].weight.mul_(0.01)
+        network.mlp[-1].bias.zero_()
+    module = TensorDictModule(network, in_keys=list(in_keys), out_keys=["loc", "scale"])
+    return ProbabilisticActor(
+        module,
+        in_keys=["loc", "scale"],
+        out_keys=[action_key],
+        distribution_class=IndependentNormal,
+        return_log_prob=True,
+    )
+
+
+def make_critic(in_keys: Sequence[str], in_size: int) -> ValueOperator:
+    """State-value network; it may read privileged observations, since only training needs it.
+
+    Args:
+        in_keys: observations it reads, concatenated in this order.
+        in_size: their total size.
+
+    Returns:
+        The critic. Its statistics of the inputs are set by :func:`fit_input_norm`.
+    """
+    return ValueOperator(_Network(in_size, 1, nn.Identity()), in_keys=list(in_keys))
+
+
+def fit_input_norm(module: TensorDictModule, data: TensorDictBase) -> None:
+    """Set an actor's or a critic's input statistics from data.
+
+    Args:
+        module: what :func:`make_actor` or :func:`make_critic` returned.
+        data: holds the module's observations, ``(*B, n_i)`` each.
+    """
+    norm = next(part for part in module.modules() if isinstance(part, InputNorm))
+    inner = module[0] if isinstance(module, ProbabilisticActor) else module
+    norm.fit(*(data.get(key) for key in inner.in_keys))

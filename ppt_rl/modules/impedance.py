@@ -1,0 +1,126 @@
+"""A Cartesian impedance controller with its gains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.impedance import cartesian_impedance, critical_damping
+
+__all__ = ["CartesianImpedanceController"]
+
+#: Spring of the default gains: stiff enough to track, soft enough to touch [N/m, N m/rad].
+STIFFNESS = (400.0, 400.0, 400.0, 30.0, 30.0, 30.0)
+#: Apparent inertia of the arm with its tool at the pushing height, per axis: medians over the push workspace
+#: (``python benchmarks/apparent_inertia.py``) [kg, kg m^2].
+APPARENT_INERTIA = (8.4, 4.9, 8.7, 0.90, 0.76, 0.10)
+
+
+class CartesianImpedanceController(nn.Module):
+    r"""Wrench of a spring and damper between the end effector and a moving reference.
+
+    .. math:: \lambda = K\,[x_d - x;\ e_R] + D\,(\nu_d - \nu), \qquad D = 2\,\zeta\,\sqrt{K M}
+
+    per axis, in world axes, with ``M`` the apparent inertia, unless ``damping`` is given. Differentiable in everything.
+
+    Args:
+        stiffness: K, one number or 6 [N/m, N m/rad].
+        damping_ratio: zeta, one number or 6 [-].
+        damping: D, one number or 6 [N s/m, N m s/rad]; None derives it from the ratio.
+        inertia: M, 6 numbers [kg, kg m^2]; None takes the Panda's.
+        learnable: whether gains are parameters (their logarithms, so that they stay positive).
+
+    Raises:
+        ValueError: if a gain is not positive or there are neither one nor six of them.
+
+    Source:
+        Paper, eq. (5), with the orientation error corrected.
+
+    Examples:
+        >>> controller = CartesianImpedanceController(stiffness=400.0, damping_ratio=1.0)
+        >>> pose = torch.tensor([[0.4, 0.0, 0.1, 0.0, 1.0, 0.0, 0.0]])
+        >>> controller(pose, torch.zeros(1, 6), pose, torch.zeros(1, 6)).abs().max()
+        tensor(0.)
+    """
+
+    def __init__(
+        self,
+        stiffness: float | Sequence[float] = STIFFNESS,
+        damping_ratio: float | Sequence[float] = 1.0,
+        *,
+        damping: float | Sequence[float] | None = None,
+        inertia: Sequence[float] | None = None,
+        learnable: bool = False,
+    ) -> None:
+        super().__init__()
+        gains = {"stiffness": _six("stiffness", stiffness), "inertia": _six("inertia", inertia or APPARENT_INERTIA)}
+        if damping is None:
+            gains["damping_ratio"] = _six("damping_ratio", damping_ratio)
+        else:
+            gains["fixed_damping"] = _six("damping", damping)
+        for name, value in gains.items():
+            log = value.log()
+            if learnable and name != "inertia":
+                self.register_parameter(f"log_{name}", nn.Parameter(log))
+            else:
+                self.register_buffer(f"log_{name}", log)
+
+    @property
+    def stiffness(self) -> Tensor:
+        """``(6,)`` diagonal of K [N/m, N m/rad]."""
+        return self.log_stiffness.exp()
+
+    @property
+    def damping(self) -> Tensor:
+        """``(6,)`` diagonal of D [N s/m, N m s/rad]."""
+        return self._damping(self.stiffness)
+
+    def _damping(self, stiffness: Tensor) -> Tensor:
+        if hasattr(self, "log_fixed_damping"):
+            return self.log_fixed_damping.exp()
+        ratio, inertia = self.log_damping_ratio.exp(), self.log_inertia.exp()
+        return critical_damping(stiffness, ratio.to(stiffness.dtype), inertia.to(stiffness.dtype))
+
+    def forward(
+        self,
+        pose: Tensor,
+        twist: Tensor,
+        reference_pose: Tensor,
+        reference_twist: Tensor,
+        stiffness: Tensor | None = None,
+        damping: Tensor | None = None,
+    ) -> Tensor:
+        """Wrench towards the reference.
+
+        Args:
+            pose: ``(*B, 7)`` end-effector pose in world [m, -].
+            twist: ``(*B, 6)`` end-effector twist, world axes [m/s, rad/s].
+            reference_pose: ``(*B, 7)`` desired pose [m, -].
+            reference_twist: ``(*B, 6)`` desired twist [m/s, rad/s]; zero makes a moving arm lag.
+            stiffness: ``(*B, 6)`` instead of the controller's own.
+            damping: ``(*B, 6)`` instead of the one that follows from the stiffness.
+
+        Returns:
+            ``(*B, 6)`` wrench applied by the robot, world axes, at the end-effector point [N, N m].
+
+        Raises:
+            ValueError: if a last dimension is wrong.
+        """
+        for name, value, size in (("pose", pose, 7), ("twist", twist, 6), ("reference_pose", reference_pose, 7)):
+            require_last_dim(name, value, size)
+        require_last_dim("reference_twist", reference_twist, 6)
+        stiffness = self.stiffness.to(pose.dtype) if stiffness is None else stiffness
+        damping = self._damping(stiffness).to(pose.dtype) if damping is None else damping
+        return cartesian_impedance(pose, twist, reference_pose, reference_twist, stiffness, damping)
+
+
+def _six(name: str, value: float | Sequence[float]) -> Tensor:
+    gains = torch.as_tensor(value, dtype=torch.get_default_dtype())
+    if gains.numel() not in (1, 6):
+        raise ValueError(f"{name} has {gains.numel()} numbers; expected 1 or 6 (three linear, three angular).")
+    if not bool((gains > 0).all()) or not bool(torch.isfinite(gains).all()):
+        raise ValueError(f"{name} is {value}; expected positive finite numbers.")
+    return gains.reshape(-1).expand(6).clone()

@@ -1,0 +1,145 @@
+"""Forward kinematics and geometric Jacobian of the Panda, on pytorch-kinematics."""
+
+from __future__ import annotations
+
+import math
+
+import pytorch_kinematics as pk
+import torch
+from pytorch_kinematics.frame import Frame, Joint, Link
+from torch import Tensor, nn
+
+from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.impedance import orientation_error
+from ppt_rl.functional.rotations import matrix_to_quat
+from ppt_rl.modules.panda import DH, FLANGE, JOINT_LIMITS
+
+__all__ = ["PandaKinematics"]
+
+
+def _turn_x(alpha: float) -> Tensor:
+    c, s = math.cos(alpha), math.sin(alpha)
+    return torch.tensor([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]], dtype=torch.float64)
+
+
+def _turn_z(angle: float) -> Tensor:
+    c, s = math.cos(angle), math.sin(angle)
+    return torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+
+
+def _panda_chain(tool_length: float) -> pk.SerialChain:
+    """Serial chain of the seven joints and the tool, through the Frame, Link and Joint classes."""
+    f64 = torch.float64
+    base = Frame("base", link=Link("base"), joint=Joint("base_fixed", dtype=f64))
+    parent = base
+    for i, (a, d, alpha) in enumerate(DH, start=1):
+        position = torch.tensor([a, -math.sin(alpha) * d, math.cos(alpha) * d], dtype=f64)
+        offset = pk.Transform3d(rot=_turn_x(alpha), pos=position, dtype=f64)
+        limits = (JOINT_LIMITS[i - 1].low, JOINT_LIMITS[i - 1].high)
+        joint = Joint(f"joint{i}", offset, "revolute", (0.0, 0.0, 1.0), dtype=f64, limits=limits)
+        child = Frame(f"link{i}", link=Link(f"link{i}"), joint=joint)
+        parent.add_child(child)
+        parent = child
+    length, turn = FLANGE
+    tip = pk.Transform3d(rot=_turn_z(turn), pos=torch.tensor([0.0, 0.0, length + tool_length], dtype=f64), dtype=f64)
+    parent.add_child(Frame("tool", link=Link("tool"), joint=Joint("tool_fixed", tip, "fixed", dtype=f64)))
+    return pk.SerialChain(pk.Chain(base, dtype=f64), "tool", dtype=f64)
+
+
+class PandaKinematics(nn.Module):
+    """Pose and Jacobian of the end-effector point as differentiable functions of joint position.
+
+    The base frame is the world frame. The end-effector point lies ``tool_length`` beyond the flange along its axis.
+
+    Args:
+        tool_length: distance from flange to end-effector point [m]. ``PandaEnv.tool_length`` gives an environment's.
+        dtype: precision of the kinematic constants. Inputs are cast to it.
+
+    Examples:
+        >>> kinematics = PandaKinematics(tool_length=0.15)
+        >>> pose, jacobian = kinematics(torch.zeros(2, 7))
+        >>> pose.shape, jacobian.shape
+        (torch.Size([2, 7]), torch.Size([2, 6, 7]))
+    """
+
+    def __init__(self, tool_length: float, dtype: torch.dtype = torch.float32) -> None:
+        super().__init__()
+        self.tool_length = float(tool_length)
+        self._chain = _panda_chain(self.tool_length).to(dtype=dtype)
+        # Follows `.to()` so that the chain, which is no nn.Module, can follow it too.
+        self.register_buffer("_anchor", torch.zeros((), dtype=dtype), persistent=False)
+
+    def _synchronised_chain(self) -> pk.SerialChain:
+        anchor = self._anchor
+        if self._chain.dtype != anchor.dtype or self._chain.device != anchor.device:
+            self._chain = _panda_chain(self.tool_length).to(dtype=anchor.dtype, device=anchor.device)
+        return self._chain
+
+    def forward(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
+        """Pose and Jacobian together.
+
+        Args:
+            joint_position: ``(*B, 7)`` [rad].
+
+        Returns:
+            ``(*B, 7)`` pose in world [m, -] and ``(*B, 6, 7)`` geometric Jacobian, linear rows first, world axes.
+
+        Raises:
+            ValueError: if the last dimension is not 7.
+        """
+        jacobian, matrix = self._jacobian_and_matrix(joint_position)
+        pose = torch.cat([matrix[..., :3, 3], matrix_to_quat(matrix[..., :3, :3])], -1)
+        return pose, jacobian
+
+    def jacobian(self, joint_position: Tensor) -> Tensor:
+        """Geometric Jacobian: ``twist = J joint_velocity``.
+
+        Args:
+            joint_position: ``(*B, 7)`` [rad].
+
+        Returns:
+            ``(*B, 6, 7)``, linear rows first, world axes, at the end-effector point.
+        """
+        return self._jacobian_and_matrix(joint_position)[0]
+
+    def inverse(self, pose: Tensor, guess: Tensor, iterations: int = 60, damping: float = 0.1) -> Tensor:
+        """Joint position that reaches ``pose``, by damped Gauss-Newton from ``guess``.
+
+        Args:
+            pose: ``(*B, 7)`` wanted pose in world [m, -].
+            guess: ``(*B, 7)`` where to start [rad]; the solution is a near one.
+            iterations: number of steps.
+            damping: of the least-squares step [-].
+
+        Returns:
+            ``(*B, 7)`` joint position [rad].
+
+        Raises:
+            ValueError: if a pose is not reached within 0.1 mm and 0.1 mrad inside the joint limits.
+        """
+        position = guess.clone()
+        low, high = position.new_tensor(JOINT_LIMITS).unbind(-1)
+        for _ in range(iterations):
+            reached, jacobian = self.forward(position)
+            error = torch.cat([pose[..., :3] - reached[..., :3], orientation_error(reached[..., 3:], pose[..., 3:])], -1)
+            if bool(error.abs().amax() < 1e-7):
+                break
+            gram = jacobian @ jacobian.mT + damping**2 * torch.eye(6, dtype=jacobian.dtype, device=jacobian.device)
+            step = (jacobian.mT @ torch.linalg.solve(gram, error.unsqueeze(-1))).squeeze(-1)
+            position = torch.maximum(torch.minimum(position + step, high), low)
+        if bool(error.abs().amax() > 1e-4):
+            raise ValueError(
+                f"no joint position found for {int((error.abs().amax(-1) > 1e-4).sum())} of the poses (error up to "
+                f"{float(error.abs().amax()):.3g}); expected poses within the arm's reach, near the guess."
+            )
+        return position
+
+    def _jacobian_and_matrix(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
+        require_last_dim("joint_position", joint_position, 7)
+        chain = self._synchronised_chain()
+        batch = joint_position.shape[:-1]
+        flat = joint_position.reshape(-1, 7).to(self._anchor.dtype)
+        # The analytical-gradient path of pytorch-kinematics has a wrong double backward; plain autograd is right.
+        transforms = chain.forward_kinematics_tensor(flat, analytical_grad=False)
+        jacobian, matrix = chain.jacobian_tensor(flat, ret_eef_pose=True, all_transforms=transforms)
+        return jacobian.reshape(*batch, 6, 7), matrix.reshape(*batch, 4, 4)

@@ -1,0 +1,252 @@
+"""A probabilistic movement primitive with its prior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from ppt_rl.functional import promp as law
+from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
+
+__all__ = ["ProMP"]
+
+
+class ProMP(nn.Module):
+    r"""Trajectories ``y(phase) = Phi(phase) W`` with a Gaussian prior over ``vec(W)``.
+
+    Centres, widths and the prior live in ``state_dict``. The prior is a standard normal until it is fitted or loaded.
+
+    Args:
+        num_basis: K basis functions, at least 2.
+        num_dof: D task-space degrees of freedom.
+        duration: of a trajectory from phase 0 to phase 1 [s].
+        overlap: width of a basis function in units of the distance between centres.
+        centres: ``(K,)`` centres in phase; None spreads them evenly over [0, 1].
+        widths: ``(K,)`` widths in phase; None derives them from ``overlap``.
+
+    Raises:
+        ValueError: if a number is out of range or the shapes do not fit.
+
+    Source:
+        Paper, eqs. (11) to (16).
+
+    Examples:
+        >>> promp = ProMP(num_basis=5, num_dof=2, duration=2.0)
+        >>> position, velocity, acceleration = promp.decode(torch.zeros(3, 5, 2), torch.linspace(0, 1, 10))
+        >>> position.shape
+        torch.Size([3, 10, 2])
+    """
+
+    centres: Tensor
+    widths: Tensor
+    weights_mean: Tensor
+    weights_cov: Tensor
+
+    def __init__(
+        self,
+        num_basis: int,
+        num_dof: int,
+        duration: float,
+        *,
+        overlap: float = 0.7,
+        centres: Tensor | None = None,
+        widths: Tensor | None = None,
+    ) -> None:
+        super().__init__()
+        if num_dof < 1:
+            raise ValueError(f"num_dof is {num_dof}; expected at least 1 degree of freedom.")
+        even_centres, even_widths = law.spread_centres(num_basis, require_positive("overlap", overlap))
+        centres = even_centres if centres is None else centres
+        widths = even_widths if widths is None else widths
+        if centres.shape != (num_basis,) or widths.shape != (num_basis,):
+            raise ValueError(
+                f"centres {tuple(centres.shape)} and widths {tuple(widths.shape)}; expected ({num_basis},) each."
+            )
+        self.num_basis, self.num_dof = int(num_basis), int(num_dof)
+        self.duration = require_positive("duration", duration, "s")
+        dtype = torch.get_default_dtype()
+        size = num_basis * num_dof
+        self.register_buffer("centres", centres.to(dtype))
+        self.register_buffer("widths", widths.to(dtype))
+        self.register_buffer("weights_mean", torch.zeros(num_basis, num_dof, dtype=dtype))
+        self.register_buffer("weights_cov", torch.eye(size, dtype=dtype))
+
+    @property
+    def prior(self) -> law.Gaussian:
+        """The prior over ``vec(W)``."""
+        return law.Gaussian(law.vec(self.weights_mean), self.weights_cov)
+
+    def basis(self, phase: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Basis and its first two derivatives in phase.
+
+        Args:
+            phase: ``(*B,)`` [-].
+
+        Returns:
+            Three tensors ``(*B, K)``.
+        """
+        return law.basis(phase, self.centres.to(phase.dtype), self.widths.to(phase.dtype))
+
+    def decode(self, weights: Tensor, phase: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Position, velocity and acceleration at given phases, the derivatives analytic.
+
+        Args:
+            weights: ``(*B, K, D)``.
+            phase: ``(T,)`` or ``(*B, T)`` [-].
+
+        Returns:
+            Three tensors ``(*B, T, D)``: [unit of y], [unit/s], [unit/s^2].
+
+        Raises:
+            ValueError: if the weights are not ``(*B, K, D)``.
+        """
+        if weights.shape[-2:] != (self.num_basis, self.num_dof):
+            raise ValueError(
+                f"weights have shape {tuple(weights.shape)}; expected (*batch, {self.num_basis}, {self.num_dof})."
+            )
+        value, first, second = self.basis(phase)
+        rate = 1.0 / self.duration  # [1/s]
+        return (
+            law.decode(value, weights),
+            law.decode(first, weights) * rate,
+            law.decode(second, weights) * rate**2,
+        )
+
+    def sample(self, num_samples: int, generator: torch.Generator | None = None) -> Tensor:
+        """Weights drawn from the prior.
+
+        Args:
+            num_samples: how many.
+            generator: source of randomness; None takes torch's global one.
+
+        Returns:
+            ``(num_samples, K, D)``.
+        """
+        cov = self.weights_cov.double()
+        eye = torch.eye(len(cov), dtype=cov.dtype, device=cov.device)
+        factor = torch.linalg.cholesky(cov + 1e-12 * cov.diagonal().amax() * eye).to(self.weights_mean.dtype)
+        noise = torch.randn(
+            num_samples, len(cov), dtype=factor.dtype, device=factor.device, generator=generator
+        )
+        return law.unvec(law.vec(self.weights_mean) + noise @ factor.mT, self.num_basis)
+
+    def fit(self, demonstrations: Tensor | Sequence[Tensor], *, ridge: float = 1e-6) -> ProMP:
+        """Fit the prior to demonstrations, in place.
+
+        Equal lengths: ridge regression of each, then mean and covariance. Differing lengths: expectation maximisation.
+        The phase of a demonstration runs from 0 at its first sample to 1 at its last.
+
+        Args:
+            demonstrations: ``(N, T, D)``, or a sequence of N tensors ``(T_n, D)``.
+            ridge: penalty of the regression and floor of the covariance's diagonal [unit of y squared].
+
+        Returns:
+            The ProMP itself.
+
+        Raises:
+            ValueError: if shapes do not fit, there are fewer than two demonstrations, or a sample is not finite.
+        """
+        if isinstance(demonstrations, Tensor):
+            demonstrations = list(demonstrations)
+        if len(demonstrations) < 2:
+            raise ValueError(f"{len(demonstrations)} demonstrations; expected at least 2, to see how they vary.")
+        for demonstration in demonstrations:
+            require_last_dim("demonstration", demonstration, self.num_dof)
+            require_finite("demonstration", demonstration)
+            if demonstration.ndim != 2 or len(demonstration) < 2:
+                raise ValueError(f"demonstration has shape {tuple(demonstration.shape)}; expected (T >= 2, D).")
+        series = [d.to(self.centres.device, torch.float64) for d in demonstrations]
+        phases = [torch.linspace(0.0, 1.0, len(d), dtype=torch.float64, device=d.device) for d in series]
+        if len({len(d) for d in series}) == 1:
+            prior = law.fit_ridge(torch.stack(series), self.basis(phases[0])[0], ridge)
+        else:
+            pad = torch.nn.utils.rnn.pad_sequence
+            mask = pad([torch.ones_like(p, dtype=torch.bool) for p in phases], batch_first=True)
+            basis = self.basis(pad(phases, batch_first=True))[0]
+            prior, _ = law.fit_em(pad(series, batch_first=True), mask, basis, ridge)
+        self.weights_mean.copy_(law.unvec(prior.mean, self.num_basis))
+        self.weights_cov.copy_(prior.cov)
+        return self
+
+    def posterior(
+        self,
+        via_phase: Tensor,
+        via_position: Tensor,
+        via_cov: Tensor,
+        via_mask: Tensor | None = None,
+        via_velocity: Tensor | None = None,
+        via_velocity_cov: Tensor | None = None,
+        via_velocity_mask: Tensor | None = None,
+        prior: law.Gaussian | None = None,
+    ) -> law.Gaussian:
+        """Weights conditioned on via-points, jointly; masked ones have no effect.
+
+        Args:
+            via_phase: ``(*B, M)`` phases [-].
+            via_position: ``(*B, M, D)`` positions.
+            via_cov: ``(*B, M, D, D)`` covariance of each position.
+            via_mask: ``(*B, M)`` True where a via-point counts; None counts all.
+            via_velocity: ``(*B, M, D)`` velocities at the same phases [unit/s]; None observes no velocity.
+            via_velocity_cov: ``(*B, M, D, D)`` covariance of each velocity; needed with ``via_velocity``.
+            via_velocity_mask: ``(*B, M)`` True where a velocity counts; None takes ``via_mask``.
+            prior: what to condition; None takes the ProMP's own prior.
+
+        Returns:
+            Mean ``(*B, K * D)`` and covariance ``(*B, K * D, K * D)`` of ``vec(W)``.
+
+        Raises:
+            ValueError: if there is no via-point at all (M = 0), a shape does not fit, or a used entry is not finite.
+        """
+        self._check_via(via_phase, via_position, via_cov)
+        mask = torch.ones_like(via_phase, dtype=torch.bool) if via_mask is None else via_mask
+        value, first, _ = self.basis(via_phase.double())
+        rows, values, covs, masks = [value], [via_position], [via_cov], [mask]
+        if via_velocity is not None:
+            if via_velocity_cov is None:
+                raise ValueError("via_velocity came without via_velocity_cov; expected its covariance (*B, M, D, D).")
+            rows.append(first / self.duration)
+            values.append(via_velocity)
+            covs.append(via_velocity_cov)
+            masks.append(mask if via_velocity_mask is None else via_velocity_mask)
+        used = torch.cat(masks, -1)
+        position = torch.cat(values, -2)
+        cov = torch.cat(covs, -3)
+        require_finite("via-points", torch.where(used.unsqueeze(-1), position, 0.0))
+        require_finite("via-point covariance", torch.where(used[..., None, None], cov, 0.0))
+        observation = law.observation_matrix(torch.cat(rows, -2), self.num_dof)
+        row_mask = used.repeat_interleave(self.num_dof, -1)
+        return law.condition(
+            self._prior_like(prior, row_mask), observation, position.flatten(-2), _block_diagonal(cov), row_mask
+        )
+
+    def _prior_like(self, prior: law.Gaussian | None, row_mask: Tensor) -> law.Gaussian:
+        mean, cov = self.prior if prior is None else prior
+        batch = torch.broadcast_shapes(row_mask.shape[:-1], mean.shape[:-1])
+        return law.Gaussian(mean.expand(*batch, mean.shape[-1]), cov.expand(*batch, *cov.shape[-2:]))
+
+    def _check_via(self, phase: Tensor, position: Tensor, cov: Tensor) -> None:
+        count = phase.shape[-1] if phase.ndim else 0
+        if count == 0:
+            raise ValueError(
+                "via-points are empty (M = 0); expected at least one slot. For no via-points in a batch of fixed "
+                "capacity pass a via_mask that is False, which gives the prior."
+            )
+        dof = self.num_dof
+        if position.shape[-2:] != (count, dof) or cov.shape[-3:] != (count, dof, dof):
+            raise ValueError(
+                f"via_phase {tuple(phase.shape)}, via_position {tuple(position.shape)}, via_cov {tuple(cov.shape)}; "
+                f"expected (*B, {count}), (*B, {count}, {dof}) and (*B, {count}, {dof}, {dof})."
+            )
+
+    def extra_repr(self) -> str:
+        """Shape of the primitive, for ``print``."""
+        return f"num_basis={self.num_basis}, num_dof={self.num_dof}, duration={self.duration} s"
+
+
+def _block_diagonal(blocks: Tensor) -> Tensor:
+    """``(*B, M, D, D) -> (*B, M * D, M * D)``."""
+    count, dof = blocks.shape[-3], blocks.shape[-1]
+    eye = torch.eye(count, dtype=blocks.dtype, device=blocks.device)
+    return torch.einsum("...mij,mn->...minj", blocks, eye).reshape(*blocks.shape[:-3], count * dof, count * dof)

@@ -1,0 +1,101 @@
+"""The task-space degrees of freedom of a movement primitive, and the poses they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.rotations import quat_conjugate, quat_from_yaw, quat_multiply, yaw_from_quat
+
+__all__ = ["TaskSpace"]
+
+_LINEAR = ("x", "y", "z")
+
+
+class TaskSpace(nn.Module):
+    """Map between D coordinates and end-effector pose and twist; what is not named stays at the origin pose.
+
+    ``x``, ``y``, ``z`` are world coordinates of the end-effector point [m]; ``yaw`` turns the origin's orientation about
+    the world z axis [rad].
+
+    Args:
+        axes: names of the coordinates, in the order of the D columns.
+        origin: ``(7,)`` pose that the other coordinates keep [m, -].
+
+    Raises:
+        ValueError: if a name is unknown or comes twice.
+
+    Examples:
+        >>> space = TaskSpace(("x", "y", "yaw"), (0.4, 0.0, 0.02, 0.0, 1.0, 0.0, 0.0))
+        >>> space.project(space.pose(torch.tensor([0.5, 0.1, 0.3])))
+        tensor([0.5000, 0.1000, 0.3000])
+    """
+
+    origin: Tensor
+
+    def __init__(self, axes: Sequence[str], origin: Sequence[float]) -> None:
+        super().__init__()
+        valid = (*_LINEAR, "yaw")
+        if not axes or len(set(axes)) != len(axes) or any(axis not in valid for axis in axes):
+            raise ValueError(f"axes are {tuple(axes)}; expected distinct names out of {valid}.")
+        if len(origin) != 7:
+            raise ValueError(f"origin has {len(origin)} numbers; expected 7: x, y, z, qw, qx, qy, qz.")
+        self.axes = tuple(axes)
+        self.register_buffer("origin", torch.tensor(origin, dtype=torch.get_default_dtype()))
+
+    @property
+    def num_dof(self) -> int:
+        """Number of coordinates D."""
+        return len(self.axes)
+
+    def pose(self, position: Tensor) -> Tensor:
+        """Pose at given coordinates.
+
+        Args:
+            position: ``(*B, D)`` [m, rad].
+
+        Returns:
+            ``(*B, 7)`` pose in world [m, -].
+        """
+        require_last_dim("task-space position", position, self.num_dof)
+        origin = self.origin.to(position.dtype)
+        columns = [
+            position[..., self.axes.index(axis)] if axis in self.axes else origin[i].expand(position.shape[:-1])
+            for i, axis in enumerate(_LINEAR)
+        ]
+        if "yaw" in self.axes:
+            quat = quat_multiply(quat_from_yaw(position[..., self.axes.index("yaw")]), origin[3:].expand(*position.shape[:-1], 4))
+        else:
+            quat = origin[3:].expand(*position.shape[:-1], 4)
+        return torch.cat([torch.stack(columns, -1), quat], -1)
+
+    def twist(self, velocity: Tensor) -> Tensor:
+        """Twist at given coordinate velocities.
+
+        Args:
+            velocity: ``(*B, D)`` [m/s, rad/s].
+
+        Returns:
+            ``(*B, 6)`` twist, world axes [m/s, rad/s].
+        """
+        zero = torch.zeros_like(velocity[..., 0])
+        names = (*_LINEAR, "roll", "pitch", "yaw")
+        return torch.stack(
+            [velocity[..., self.axes.index(name)] if name in self.axes else zero for name in names], -1
+        )
+
+    def project(self, pose: Tensor) -> Tensor:
+        """Coordinates of a pose: the inverse of :meth:`pose` on the poses it makes.
+
+        Args:
+            pose: ``(*B, 7)`` pose in world [m, -].
+
+        Returns:
+            ``(*B, D)`` [m, rad].
+        """
+        turn = quat_multiply(pose[..., 3:], quat_conjugate(self.origin[3:].to(pose.dtype)).expand_as(pose[..., 3:]))
+        columns = {"x": pose[..., 0], "y": pose[..., 1], "z": pose[..., 2], "yaw": yaw_from_quat(turn)}
+        return torch.stack([columns[axis] for axis in self.axes], -1)

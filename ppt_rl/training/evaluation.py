@@ -1,0 +1,134 @@
+"""Deterministic evaluation: rows per episode, means with 95 % intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import torch
+from scipy import stats
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+__all__ = ["REPORTED", "evaluate", "interval", "run_episodes", "summarise"]
+
+#: Metrics of the report, in order, with their units.
+REPORTED = {
+    "success": "0-1",
+    "max_power": "W",
+    "jerk_rms": "m/s^3",
+    "wrench_p95": "N",
+    "overload_ratio": "0-1",
+    "contact_continuity": "0-1",
+    "progress": "0-1",
+}
+
+
+@torch.no_grad()
+def run_episodes(env: EnvBase, policy: Any, episodes: int) -> dict[str, np.ndarray]:
+    """Run a policy deterministically and collect one row per episode.
+
+    Every environment's first episodes are taken in turn, so short episodes are not preferred.
+
+    Args:
+        env: batch-locked environment with metrics in its chain.
+        policy: writes the action; its mean is taken where it is stochastic.
+        episodes: how many.
+
+    Returns:
+        For each name of :data:`REPORTED`, an array ``(episodes,)``; and ``box_size`` where the task has one.
+
+    Raises:
+        ValueError: if ``episodes`` is below 1.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes is {episodes}; expected at least 1.")
+    rounds = math.ceil(episodes / env.numel())
+    finished = []
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        for _ in range(rounds):
+            finished.append(_one_round(env, policy))
+    names = finished[0]
+    return {name: np.concatenate([part[name] for part in finished])[:episodes] for name in names}
+
+
+def _one_round(env: EnvBase, policy: Any) -> dict[str, np.ndarray]:
+    """One episode of every environment."""
+    tensordict = env.reset()
+    rows: dict[str, np.ndarray] = {}
+    waiting = torch.ones(env.batch_size, dtype=torch.bool)
+    while bool(waiting.any()):
+        tensordict = env.step(policy(tensordict))
+        following = tensordict["next"]
+        ended = following["done"].squeeze(-1).cpu() & waiting
+        for name, value in _episode_values(following).items():
+            rows.setdefault(name, np.zeros(env.batch_size))[ended.numpy()] = value.cpu().numpy()[ended.numpy()]
+        waiting &= ~ended
+        tensordict = env.step_mdp(tensordict)
+        if bool(waiting.any()) and bool(ended.any()):
+            tensordict = env.maybe_reset(tensordict)
+    return rows
+
+
+def _episode_values(following: TensorDictBase) -> dict[str, torch.Tensor]:
+    values = {name: following["metrics", name] for name in following["metrics"].keys()}
+    values |= {name: following[name].float() for name in ("success", "progress")}
+    if "box_size" in following.keys():
+        values["box_size"] = following["box_size"]
+    return {name: value.squeeze(-1) for name, value in values.items()}
+
+
+def interval(values: np.ndarray, *, is_rate: bool) -> tuple[float, float]:
+    """95 % confidence interval of a mean: Wilson's for a rate of successes, Student's otherwise.
+
+    Args:
+        values: one per episode.
+        is_rate: whether they are zeros and ones.
+
+    Returns:
+        Lower and upper end.
+    """
+    count = len(values)
+    if is_rate:
+        result = stats.binomtest(round(float(values.sum())), count).proportion_ci(0.95, method="wilson")
+        return float(result.low), float(result.high)
+    if count < 2:
+        return float(values.mean()), float(values.mean())
+    half = float(stats.t.ppf(0.975, count - 1) * values.std(ddof=1) / math.sqrt(count))
+    return float(values.mean()) - half, float(values.mean()) + half
+
+
+def summarise(rows: dict[str, np.ndarray], names: Iterable[str] = REPORTED) -> dict[str, dict[str, Any]]:
+    """Mean and 95 % interval of each metric.
+
+    Args:
+        rows: what :func:`run_episodes` returned.
+        names: which metrics.
+
+    Returns:
+        ``{name: {"mean": x, "ci95": [low, high]}}``; ratios stay within [0, 1].
+    """
+    summary: dict[str, dict[str, Any]] = {}
+    for name in names:
+        low, high = interval(rows[name], is_rate=name == "success")
+        if REPORTED.get(name) == "0-1":
+            low, high = max(0.0, low), min(1.0, high)
+        summary[name] = {"mean": float(rows[name].mean()), "ci95": [low, high]}
+    return summary
+
+
+def evaluate(env: EnvBase, policy: Any, episodes: int) -> dict[str, dict[str, Any]]:
+    """Run and summarise: :func:`run_episodes`, then :func:`summarise`.
+
+    Args:
+        env: environment with metrics in its chain.
+        policy: writes the action.
+        episodes: how many.
+
+    Returns:
+        ``{name: {"mean": x, "ci95": [low, high]}}``.
+    """
+    return summarise(run_episodes(env, policy, episodes))

@@ -1,0 +1,220 @@
+"""Proximal policy optimisation as every recipe runs it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torchrl.checkpoint import GlobalRNGState
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
+from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
+from torchrl.objectives.value import GAE
+from tqdm import tqdm
+
+from ppt_rl.training.checkpoint import load_checkpoint, save_checkpoint
+from ppt_rl.training.logs import RunLogs
+
+__all__ = ["PPOConfig", "train_ppo"]
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Settings of PPO.
+
+    Attributes:
+        total_control_steps: budget, summed over environments [control steps].
+        policy_steps: policy steps of each environment in a batch.
+        epochs: passes over a batch.
+        minibatches: parts of a batch in a pass.
+        learning_rate: at the start; the KL divergence adapts it.
+        max_learning_rate: upper bound of the adapted rate.
+        target_kl: divergence per update that the rate aims at [nat].
+        clip: epsilon of the clipped objective.
+        entropy: weight of the entropy bonus.
+        gamma: discount per control step.
+        gae_lambda: of the generalised advantage estimate.
+        max_grad_norm: bound on the gradient's norm.
+        checkpoint_every: batches between checkpoints.
+    """
+
+    total_control_steps: int = 4_000_000
+    policy_steps: int = 1
+    epochs: int = 10
+    minibatches: int = 4
+    learning_rate: float = 5e-4
+    max_learning_rate: float = 2e-3
+    target_kl: float = 0.02
+    clip: float = 0.2
+    entropy: float = 0.0
+    gamma: float = 1.0
+    gae_lambda: float = 0.95
+    max_grad_norm: float = 1.0
+    checkpoint_every: int = 5
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings."""
+        for name, value in asdict(self).items():
+            if value < 0 or (value == 0 and name not in ("entropy", "total_control_steps")):
+                raise ValueError(f"{name} is {value}; expected a number above 0.")
+        for name in ("gamma", "gae_lambda"):
+            if getattr(self, name) > 1:
+                raise ValueError(f"{name} is {getattr(self, name)}; expected at most 1.")
+
+
+class _Learner:
+    """Losses, optimizer and learning-rate schedule of one run."""
+
+    def __init__(self, actor: nn.Module, critic: nn.Module, config: PPOConfig) -> None:
+        self.actor, self.critic, self.config = actor, critic, config
+        self.advantage = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=critic, average_gae=False)
+        self.advantage.set_keys(steps_to_next_obs=("next", "control_steps"))
+        self.loss = ClipPPOLoss(
+            actor, critic, clip_epsilon=config.clip, entropy_bonus=config.entropy > 0, entropy_coeff=config.entropy,
+            critic_coeff=1.0, normalize_advantage=True, loss_critic_type="smooth_l1",
+        )  # fmt: skip
+        self.optimizer = torch.optim.Adam(self.loss.parameters(), lr=config.learning_rate, eps=1e-5)
+        self.schedule = KLAdaptiveLR(self.optimizer, config.target_kl, max_lr=config.max_learning_rate)
+
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Improve actor and critic on one batch."""
+        with torch.no_grad():
+            batch = self.advantage(batch).reshape(-1)
+        config, totals = self.config, torch.zeros(2)
+        for _ in range(config.epochs):
+            for rows in torch.randperm(len(batch)).chunk(config.minibatches):
+                losses = self.loss(batch[rows])
+                total = losses["loss_objective"] + losses["loss_critic"] + losses.get("loss_entropy", torch.zeros(()))
+                self.optimizer.zero_grad()
+                total.backward()
+                nn.utils.clip_grad_norm_(self.loss.parameters(), config.max_grad_norm)
+                self.optimizer.step()
+                totals += torch.stack([losses["loss_objective"].detach(), losses["loss_critic"].detach()])
+            divergence = self._divergence(batch)
+            self.schedule.step(divergence)
+        objective, critic = (totals / (config.epochs * config.minibatches)).tolist()
+        rate = self.optimizer.param_groups[0]["lr"]
+        return {
+            "loss_objective": objective, "loss_critic": critic, "kl": float(divergence), "learning_rate": rate,
+        }  # fmt: skip
+
+    @torch.no_grad()
+    def _divergence(self, batch: TensorDictBase) -> Tensor:
+        """Mean KL divergence from the policy that acted to the present one, exact for Gaussians.
+
+        The loss's own ``kl_approx`` is a sample mean: with a hundred actions its noise is larger than the target.
+        """
+        old = torch.distributions.Normal(batch["loc"], batch["scale"])
+        acting = self.actor.get_dist(batch.select(*self.actor.in_keys))
+        return torch.distributions.kl_divergence(old, acting.base_dist).sum(-1).mean()
+
+
+def train_ppo(
+    env: EnvBase,
+    actor: nn.Module,
+    critic: nn.Module,
+    config: PPOConfig,
+    *,
+    run_dir: Path,
+    variant: str,
+    run_config: Mapping[str, Any],
+    extra: Mapping[str, Any] | None = None,
+    resume_from: Path | None = None,
+    on_batch: Callable[[int, dict[str, float]], None] | None = None,
+) -> Path:
+    """Train until the budget of control steps is spent; Ctrl-C ends early with a good checkpoint.
+
+    Args:
+        env: batch-locked environment with the recipe's chain; its batch must report ``("next", "control_steps")``.
+        actor: policy, read by the collector.
+        critic: value network.
+        config: settings.
+        run_dir: where logs and checkpoints go.
+        variant: name of the recipe's variant, kept in the checkpoint.
+        run_config: configuration of the run, kept in the checkpoint.
+        extra: further modules to checkpoint, such as the movement primitive.
+        resume_from: checkpoint to go on from.
+        on_batch: called with the number of the batch and its log.
+
+    Returns:
+        Path of the last checkpoint.
+    """
+    learner = _Learner(actor, critic, config)
+    counters = {"control_steps": 0, "batches": 0, "seconds": 0.0}
+    components = {
+        "actor": actor, "critic": critic, "optimizer": learner.optimizer, "schedule": learner.schedule,
+        "rng": GlobalRNGState(), **(extra or {}),
+    }  # fmt: skip
+    if resume_from is not None:
+        counters |= load_checkpoint(resume_from, {**components, "counters": dict(counters)})["counters"]
+        env.set_seed(int(run_config["seed"]) + 1_000_003 * counters["batches"])
+    logs = RunLogs(run_dir)
+    collector = Collector(
+        env, actor, frames_per_batch=env.numel() * config.policy_steps, total_frames=-1, trust_policy=True,
+        auto_register_policy_transforms=False,
+    )
+    bar = tqdm(total=config.total_control_steps, initial=counters["control_steps"], unit=" steps", unit_scale=True)
+    success, path = 0.0, None
+    batches = iter(collector)
+    started = time.perf_counter() - counters["seconds"]
+    try:
+        while counters["control_steps"] < config.total_control_steps:
+            batch = next(batches)
+            scalars = batch_statistics(batch) | learner.update(batch)
+            success = scalars["success"]
+            steps = int(batch["next", "control_steps"].sum())
+            counters["control_steps"] += steps
+            counters["batches"] += 1
+            counters["seconds"] = scalars["seconds"] = time.perf_counter() - started
+            logs.write(scalars, counters["control_steps"])
+            bar.update(steps)
+            bar.set_postfix(success=f"{success:.0%}", max_power=f"{scalars['max_power']:.2f} W")
+            if on_batch is not None:
+                on_batch(counters["batches"], scalars)
+            if counters["batches"] % config.checkpoint_every == 0:
+                path = _save(run_dir, components, counters, variant, run_config, success)
+    except KeyboardInterrupt:
+        bar.write(f"Interrupted after {counters['control_steps']} control steps; writing a checkpoint. Go on with --resume.")
+    finally:
+        path = _save(run_dir, components, counters, variant, run_config, success)
+        bar.close()
+        logs.close()
+        collector.shutdown()
+    return path
+
+
+def _save(
+    run_dir: Path, components: Mapping[str, Any], counters: Mapping[str, Any], variant: str, config: Mapping[str, Any],
+    success: float,
+) -> Path:  # fmt: skip
+    parts = {**components, "counters": dict(counters)}
+    step = int(counters["control_steps"])
+    return save_checkpoint(run_dir, parts, step=step, variant=variant, config=config, success=success)
+
+
+def batch_statistics(batch: TensorDictBase) -> dict[str, float]:
+    """Means over the episodes that ended in a batch, and sums of rewards.
+
+    Args:
+        batch: what the collector returned.
+
+    Returns:
+        ``reward``, ``success``, ``progress``, each metric and each reward group by name.
+    """
+    following = batch["next"]
+    done = following["done"].squeeze(-1)
+    ended = following[done] if bool(done.any()) else following
+    statistics = {
+        "reward": following["reward"].mean(),
+        "success": ended["success"].float().mean(),
+        "progress": ended["progress"].mean(),
+    }
+    statistics |= {name: ended["metrics", name].mean() for name in following["metrics"].keys()}
+    statistics |= {f"reward_{name}": following["reward_terms", name].mean() for name in following["reward_terms"].keys()}
+    return {name: float(value) for name, value in statistics.items()}

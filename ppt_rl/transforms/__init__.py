@@ -1,0 +1,19 @@
+"""The stages of the method as TorchRL transforms."""
+
+from ppt_rl.transforms.energy_tank import EnergyTankTransform
+from ppt_rl.transforms.episode_metrics import EpisodeMetricsTransform
+from ppt_rl.transforms.impedance import ImpedanceTransform
+from ppt_rl.transforms.joint_torque import JointTorqueTransform
+from ppt_rl.transforms.macro_step import MacroStepTransform
+from ppt_rl.transforms.promp import ProMPTransform
+from ppt_rl.transforms.via_point import ViaPointTransform
+
+__all__ = [
+    "EnergyTankTransform",
+    "EpisodeMetricsTransform",
+    "ImpedanceTransform",
+    "JointTorqueTransform",
+    "MacroStepTransform",
+    "ProMPTransform",
+    "ViaPointTransform",
+]

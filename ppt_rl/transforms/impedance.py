@@ -1,0 +1,55 @@
+"""Cartesian impedance as a transform: a reference becomes a wrench."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torchrl.data import Composite, Unbounded
+
+from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.modules.impedance import CartesianImpedanceController
+from ppt_rl.transforms.base import ActionTransform, replace_leaf
+
+__all__ = ["ImpedanceTransform"]
+
+
+class ImpedanceTransform(ActionTransform):
+    """Turns a reference, ``(*B, 13)`` pose and twist, into the nominal wrench ``(*B, 6)`` that tracks it.
+
+    Args:
+        controller: the law and its gains.
+        action_key: the action: reference from outside, wrench towards the environment.
+        pose_key: end-effector pose observation.
+        twist_key: end-effector twist observation.
+
+    Raises:
+        ValueError: if the reference has another size than 13.
+        KeyError: if an observation is missing.
+
+    Source:
+        Paper, section "Cartesian Impedance Control".
+    """
+
+    def __init__(
+        self,
+        controller: CartesianImpedanceController,
+        action_key: NestedKey = "action",
+        pose_key: NestedKey = "pose",
+        twist_key: NestedKey = "twist",
+    ) -> None:
+        super().__init__(action_key)
+        self.controller = controller
+        self.pose_key = pose_key
+        self.twist_key = twist_key
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        reference, pose, twist = self._require(tensordict, self.action_key, self.pose_key, self.twist_key)
+        require_last_dim("reference (pose and twist)", reference, 13)
+        wrench = self.controller(pose, twist, reference[..., :7], reference[..., 7:])
+        return tensordict.set(self.action_key, wrench)
+
+    def transform_action_spec(self, action_spec: Composite) -> Composite:
+        """The action outside is a reference: 7 numbers of pose and 6 of twist."""
+        like = action_spec[self.action_key]
+        spec = Unbounded(shape=(*like.shape[:-1], 13), dtype=like.dtype, device=like.device)
+        return replace_leaf(action_spec, self.action_key, spec, type(self).__name__)

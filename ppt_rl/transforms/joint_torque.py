@@ -1,0 +1,121 @@
+"""Joint torque from a wrench, with a posture in the nullspace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+
+from ppt_rl.functional.checks import require_last_dim, require_positive
+from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
+from ppt_rl.modules.kinematics import PandaKinematics
+from ppt_rl.modules.panda import HOME, JOINT_INERTIA, TORQUE_LIMITS
+from ppt_rl.transforms.base import ActionTransform, replace_leaf
+
+__all__ = ["JointTorqueTransform"]
+
+
+class JointTorqueTransform(ActionTransform):
+    r"""Turns a wrench ``(*B, 6)`` into joint torque ``(*B, 7)``, clipped to the Panda's limits.
+
+    .. math:: \tau = J^\top \lambda + N\,\big(k_q (q_0 - q) - d_q \dot q\big)
+
+    with ``N`` the nullspace projection: the posture term does not push the end effector. It also writes the commanded
+    ``power`` ``wrench . twist`` ``(*B, 1)`` [W] as an observation, positive when energy leaves the robot.
+
+    Args:
+        kinematics: Jacobian of the arm at the end-effector point.
+        posture: ``q_0``, 7 numbers [rad].
+        posture_stiffness: ``k_q`` [N m/rad]; zero leaves the posture alone, and with it the projection.
+        posture_damping: ``d_q`` [N m s/rad].
+        max_torque_rate: largest change of a joint torque [N m/s]; None sets no limit. Franka's own is 1000.
+        dt: control step, for the rate [s].
+        action_key: the action: wrench from outside, torque towards the environment.
+
+    Raises:
+        ValueError: if the wrench has another size than 6, or a number is out of range.
+        KeyError: if an observation is missing.
+
+    Source:
+        Paper, section "Cartesian Impedance Control" (``J^T lambda``).
+    """
+
+    def __init__(
+        self,
+        kinematics: PandaKinematics,
+        *,
+        posture: Sequence[float] = HOME,
+        posture_stiffness: float = 10.0,
+        posture_damping: float = 2.0,
+        max_torque_rate: float | None = None,
+        dt: float = 0.01,
+        action_key: NestedKey = "action",
+    ) -> None:
+        super().__init__(action_key)
+        if len(posture) != 7:
+            raise ValueError(f"posture has {len(posture)} numbers; expected 7 joint positions [rad].")
+        if posture_stiffness < 0 or posture_damping < 0:
+            raise ValueError(
+                f"posture_stiffness={posture_stiffness}, posture_damping={posture_damping}; expected both at least 0."
+            )
+        self.kinematics = kinematics
+        self.posture_stiffness = float(posture_stiffness)
+        self.posture_damping = float(posture_damping)
+        rate = None if max_torque_rate is None else require_positive("max_torque_rate", max_torque_rate, "N m/s")
+        self.max_torque_change = None if rate is None else rate * require_positive("dt", dt, "s")
+        self.register_buffer("posture", torch.tensor(posture), persistent=False)
+        self.register_buffer("joint_inertia", torch.tensor(JOINT_INERTIA), persistent=False)
+        self.register_buffer("torque_limit", torch.tensor(TORQUE_LIMITS), persistent=False)
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        wrench, position = self._require(tensordict, self.action_key, "joint_position")
+        require_last_dim("wrench", wrench, 6)
+        jacobian = self.kinematics.jacobian(position).to(wrench.dtype)
+        torque = joint_torque(jacobian, wrench)
+        if self.posture_stiffness or self.posture_damping:
+            (velocity,) = self._require(tensordict, "joint_velocity")
+            posture = self.posture_stiffness * (self.posture - position) - self.posture_damping * velocity
+            torque = torque + nullspace_torque(jacobian, posture, self.joint_inertia)
+        tensordict.set(self.action_key, self._limited(torque, tensordict))
+        if self.parent is not None:
+            self._stash(tensordict, "power", power(wrench, self._require(tensordict, "twist")[0]))
+        return tensordict
+
+    def _limited(self, torque: Tensor, tensordict: TensorDictBase) -> Tensor:
+        torque = torque.clamp(-self.torque_limit, self.torque_limit)
+        if self.max_torque_change is not None:
+            last = tensordict.get("torque", None)
+            if last is not None:
+                torque = last + (torque - last).clamp(-self.max_torque_change, self.max_torque_change)
+            self._stash(tensordict, "torque", torque)
+        return torque
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        for key in self._state_keys():
+            self._unstash(tensordict, next_tensordict, key)
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        for key, spec in self._state_specs(self.parent.batch_size, self._like()).items():
+            self._restart(tensordict, tensordict_reset, key, spec.zero())
+        return tensordict_reset
+
+    def _state_keys(self) -> list[str]:
+        return ["power"] if self.max_torque_change is None else ["power", "torque"]
+
+    def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
+        sizes = {"power": 1, "torque": 7}
+        return {
+            key: Unbounded(shape=(*like.shape[:-1], sizes[key]), dtype=like.dtype, device=like.device)
+            for key in self._state_keys()
+        }
+
+    def transform_action_spec(self, action_spec: Composite) -> Composite:
+        """The action outside is a wrench of 6 numbers."""
+        like = action_spec[self.action_key]
+        spec = Unbounded(shape=(*like.shape[:-1], 6), dtype=like.dtype, device=like.device)
+        return replace_leaf(action_spec, self.action_key, spec, type(self).__name__)

@@ -1,0 +1,172 @@
+"""ProMP decoding: a residual in weight space becomes a chunk of references."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+
+from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
+from ppt_rl.functional.promp import Gaussian, unvec, vec
+from ppt_rl.modules.promp import ProMP
+from ppt_rl.modules.task_space import TaskSpace
+from ppt_rl.transforms.base import ActionTransform, replace_leaf
+
+__all__ = ["ProMPTransform"]
+
+
+class ProMPTransform(ActionTransform):
+    r"""Turns a residual ``dw`` ``(*B, K * D)`` into the references of the next control steps, ``(*B, N, 13)``.
+
+    .. math:: w = w_{ref} + \mathrm{scale} \cdot \Delta w, \qquad y(\phi) = \Phi(\phi)^\top W
+
+    ``w_ref`` is the observation ``weights_mean`` (:class:`ViaPointTransform` writes it), else the ProMP's prior mean.
+    The new weights are then conditioned on the reference position and velocity where the last chunk ended, at the start
+    of an episode on the measured pose at rest, so the reference and its velocity are continuous.
+
+    State and observations: ``phase`` ``(*B, 1)`` [-], ``reference_position`` and ``reference_velocity`` ``(*B, D)``,
+    ``weights`` ``(*B, K, D)``, the weights that were decoded last.
+
+    Args:
+        promp: the movement primitive.
+        task_space: what its D coordinates mean.
+        residual_scale: one number, or D of them: how far a residual of 1 moves a weight [unit of each coordinate].
+        replan_steps: control steps from one policy step to the next. None is the paper's "episode-level": one policy
+            step for the whole duration; 1 is its "each timestep".
+        dt: control step [s].
+        action_key: the action: residual outside, references towards the environment.
+        pose_key: end-effector pose observation.
+
+    Raises:
+        ValueError: if sizes do not fit, the duration is no multiple of ``dt``, or an action is not finite.
+
+    Source:
+        Paper, eqs. (11) and (13).
+    """
+
+    def __init__(
+        self,
+        promp: ProMP,
+        task_space: TaskSpace,
+        *,
+        residual_scale: float | Sequence[float] = 0.03,
+        replan_steps: int | None = None,
+        dt: float = 0.01,
+        action_key: NestedKey = "action",
+        pose_key: NestedKey = "pose",
+    ) -> None:
+        super().__init__(action_key)
+        if promp.num_dof != task_space.num_dof:
+            raise ValueError(f"the ProMP has {promp.num_dof} degrees of freedom and the task space {task_space.axes}.")
+        self.dt = require_positive("dt", dt, "s")
+        self.total_steps = round(promp.duration / dt)
+        if self.total_steps < 1 or abs(self.total_steps * dt - promp.duration) > 1e-6:
+            raise ValueError(f"duration {promp.duration} s is no multiple of dt={dt} s.")
+        self.num_steps = self.total_steps if replan_steps is None else int(replan_steps)
+        if not 1 <= self.num_steps <= self.total_steps:
+            raise ValueError(f"replan_steps is {replan_steps}; expected 1 to {self.total_steps}, or None.")
+        scale = torch.as_tensor(residual_scale, dtype=torch.get_default_dtype()).reshape(-1)
+        if scale.numel() not in (1, promp.num_dof) or not bool((scale > 0).all()):
+            raise ValueError(f"residual_scale is {residual_scale}; expected 1 or {promp.num_dof} positive numbers.")
+        self.promp = promp
+        self.task_space = task_space
+        self.pose_key = pose_key
+        self.register_buffer("residual_scale", scale.expand(promp.num_dof).clone())
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        (action,) = self._require(tensordict, self.action_key)
+        require_last_dim("action (ProMP residual)", action, self.promp.num_basis * self.promp.num_dof)
+        require_finite("action (ProMP residual)", action)
+        phase, position, velocity = self._current(tensordict, action)
+        weights = self._joined(self._weights(tensordict, action), phase, position, velocity)
+        offsets = torch.arange(self.num_steps + 1, dtype=action.dtype, device=action.device) / self.total_steps
+        phases = (phase + offsets).clamp_max(1.0)  # (*B, N + 1)
+        positions, velocities, _ = self.promp.decode(weights, phases)
+        # Past the end the reference rests where it is.
+        velocities = velocities * (phase + offsets <= 1.0 + 1e-6).unsqueeze(-1)
+        reference = torch.cat([self.task_space.pose(positions), self.task_space.twist(velocities)], -1)
+        tensordict.set(self.action_key, reference[..., :-1, :])
+        for key, value in (
+            ("phase", phases[..., -1:]),
+            ("reference_position", positions[..., -1, :]),
+            ("reference_velocity", velocities[..., -1, :]),
+            ("weights", weights),
+        ):
+            self._stash(tensordict, key, value)
+        return tensordict
+
+    def _current(self, tensordict: TensorDictBase, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Phase and reference state; without any, the measured pose at rest at phase zero."""
+        phase = tensordict.get("phase", None)
+        if phase is None:
+            (pose,) = self._require(tensordict, self.pose_key)
+            position = self.task_space.project(pose)
+            return torch.zeros_like(action[..., :1]), position, torch.zeros_like(position)
+        position, velocity = self._require(tensordict, "reference_position", "reference_velocity")
+        return phase, position, velocity
+
+    def _weights(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
+        reference = tensordict.get("weights_mean", None)
+        if reference is None:
+            reference = self.promp.weights_mean.to(action.dtype)
+        return reference + self.residual_scale.to(action.dtype) * unvec(action, self.promp.num_basis)
+
+    def _joined(self, weights: Tensor, phase: Tensor, position: Tensor, velocity: Tensor) -> Tensor:
+        """Nearest weights that pass through position and velocity at ``phase``.
+
+        Nearest in the plain metric of the weights: the basis is local, so the change stays near ``phase``. The prior's
+        metric would explain a millimetre at the start by another trajectory altogether.
+        """
+        dof = self.promp.num_dof
+        exact = position.new_zeros(*position.shape[:-1], 1, dof, dof)
+        mean = vec(weights).double()
+        nearest = Gaussian(mean, torch.eye(mean.shape[-1], dtype=mean.dtype, device=mean.device))
+        joined = self.promp.posterior(
+            phase,
+            position.unsqueeze(-2),
+            exact,
+            via_velocity=velocity.unsqueeze(-2),
+            via_velocity_cov=exact,
+            prior=nearest,
+        )
+        return unvec(joined.mean, self.promp.num_basis).to(weights.dtype)
+
+    # -- state --------------------------------------------------------------------------------------------------------
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        for key in ("phase", "reference_position", "reference_velocity", "weights"):
+            self._unstash(tensordict, next_tensordict, key)
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        (pose,) = self._require(tensordict_reset, self.pose_key)
+        position = self.task_space.project(pose)
+        specs = self._state_specs(self.parent.batch_size, self._like())
+        self._restart(tensordict, tensordict_reset, "phase", specs["phase"].zero())
+        self._restart(tensordict, tensordict_reset, "reference_position", position)
+        self._restart(tensordict, tensordict_reset, "reference_velocity", torch.zeros_like(position))
+        self._restart(tensordict, tensordict_reset, "weights", specs["weights"].zero())
+        return tensordict_reset
+
+    def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
+        def real(*shape: int) -> Unbounded:
+            return Unbounded(shape=(*batch, *shape), dtype=like.dtype, device=like.device)
+
+        dof = self.promp.num_dof
+        return {
+            "phase": real(1),
+            "reference_position": real(dof),
+            "reference_velocity": real(dof),
+            "weights": real(self.promp.num_basis, dof),
+        }
+
+    def transform_action_spec(self, action_spec: Composite) -> Composite:
+        """The action outside is a residual of K * D numbers."""
+        like = action_spec[self.action_key]
+        size = self.promp.num_basis * self.promp.num_dof
+        spec = Unbounded(shape=(*self.parent.batch_size, size), dtype=like.dtype, device=like.device)
+        return replace_leaf(action_spec, self.action_key, spec, type(self).__name__)

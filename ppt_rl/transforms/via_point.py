@@ -1,0 +1,83 @@
+"""Via-points: the posterior of a movement primitive as an observation."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torchrl.data import Composite, Unbounded
+from torchrl.envs import Transform
+
+from ppt_rl.functional.promp import unvec
+from ppt_rl.modules.promp import ProMP
+
+__all__ = ["ViaPointTransform"]
+
+_POSITION = ("via_phase", "via_position", "via_cov", "via_mask")
+_VELOCITY = ("via_velocity", "via_velocity_cov", "via_velocity_mask")
+
+
+class ViaPointTransform(Transform):
+    r"""Conditions a ProMP's prior on via-points and writes the posterior, the reference of the residual.
+
+    .. math::
+        \Sigma_{w|D} = (\Sigma_w^{-1} + H^\top \Sigma_D^{-1} H)^{-1}, \quad
+        \mu_{w|D} = \Sigma_{w|D} (\Sigma_w^{-1} \mu_w + H^\top \Sigma_D^{-1} y_D)
+
+    Reads ``via_phase`` ``(*B, M)``, ``via_position`` ``(*B, M, D)``, ``via_cov`` ``(*B, M, D, D)`` and, where there,
+    ``via_mask`` ``(*B, M)``, and the same with ``via_velocity``. Writes ``weights_mean`` ``(*B, K, D)`` and, on request,
+    ``weights_cov`` ``(*B, K * D, K * D)``. It has no state and works as well on stored data.
+
+    Args:
+        promp: the movement primitive and its prior.
+        write_cov: whether the covariance is written too.
+        prefix: keys of the via-points' nest; empty for the root.
+
+    Raises:
+        KeyError: if a via-point entry is missing.
+        ValueError: if shapes do not fit.
+
+    Source:
+        Paper, eqs. (15) and (16).
+    """
+
+    def __init__(self, promp: ProMP, *, write_cov: bool = False, prefix: tuple[str, ...] = ()) -> None:
+        def keys(names: tuple[str, ...]) -> list[NestedKey]:
+            return [(*prefix, name) if prefix else name for name in names]
+
+        self._position_keys, self._velocity_keys = keys(_POSITION), keys(_VELOCITY)
+        self._mean_key, self._cov_key = keys(("weights_mean", "weights_cov"))
+        out = [self._mean_key, self._cov_key] if write_cov else [self._mean_key]
+        super().__init__(in_keys=self._position_keys[:3], out_keys=out)
+        self.promp = promp
+        self.write_cov = write_cov
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        phase, position, cov = (next_tensordict.get(key, None) for key in self._position_keys[:3])
+        if phase is None or position is None or cov is None:
+            raise KeyError(
+                f"ViaPointTransform needs {self._position_keys[:3]}; the tensordict holds "
+                f"{sorted(str(k) for k in next_tensordict.keys(True, True))}."
+            )
+        velocity = [next_tensordict.get(key, None) for key in self._velocity_keys]
+        mask = next_tensordict.get(self._position_keys[3], None)
+        posterior = self.promp.posterior(phase, position, cov, mask, *velocity)
+        next_tensordict.set(self._mean_key, unvec(posterior.mean, self.promp.num_basis).to(position.dtype))
+        if self.write_cov:
+            next_tensordict.set(self._cov_key, posterior.cov.to(position.dtype))
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the posterior of stored via-points."""
+        return self._call(tensordict)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Declare the posterior."""
+        like = observation_spec[self._position_keys[1]]
+        batch, basis, dof = like.shape[:-2], self.promp.num_basis, self.promp.num_dof
+        shapes = {self._mean_key: (basis, dof), self._cov_key: (basis * dof, basis * dof)}
+        for key in self.out_keys:
+            observation_spec[key] = Unbounded(shape=(*batch, *shapes[key]), dtype=like.dtype, device=like.device)
+        return observation_spec
