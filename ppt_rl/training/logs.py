@@ -25,10 +25,14 @@ class RunLogs:
 
     Args:
         run_dir: directory of the run.
+        last_step: control step to go on from; what was logged after it, by a run that was killed, is dropped.
     """
 
-    def __init__(self, run_dir: Path) -> None:
+    def __init__(self, run_dir: Path, last_step: int = 0) -> None:
         logs = str(run_dir / "logs")
+        for path in (run_dir / "logs" / "csv" / "scalars").glob("*.csv"):
+            lines = path.read_text().splitlines(keepends=True)
+            write_text_atomically(path, "".join(line for line in lines if int(line.split(",")[0]) <= last_step))
         self._loggers = [CSVLogger(exp_name="csv", log_dir=logs), TensorboardLogger(exp_name="tensorboard", log_dir=logs)]
 
     def write(self, scalars: Mapping[str, float], step: int) -> None:

@@ -30,7 +30,6 @@ class PPOConfig:
 
     Attributes:
         total_control_steps: budget, summed over environments [control steps].
-        policy_steps: policy steps of each environment in a batch.
         epochs: passes over a batch.
         minibatches: parts of a batch in a pass.
         learning_rate: at the start; the KL divergence adapts it.
@@ -44,8 +43,7 @@ class PPOConfig:
         checkpoint_every: batches between checkpoints.
     """
 
-    total_control_steps: int = 4_000_000
-    policy_steps: int = 1
+    total_control_steps: int = 2_304_000
     epochs: int = 10
     minibatches: int = 4
     learning_rate: float = 5e-4
@@ -121,6 +119,7 @@ def train_ppo(
     critic: nn.Module,
     config: PPOConfig,
     *,
+    policy_steps: int,
     run_dir: Path,
     variant: str,
     run_config: Mapping[str, Any],
@@ -135,6 +134,7 @@ def train_ppo(
         actor: policy, read by the collector.
         critic: value network.
         config: settings.
+        policy_steps: policy steps of an episode; a batch is one episode of every environment.
         run_dir: where logs and checkpoints go.
         variant: name of the recipe's variant, kept in the checkpoint.
         run_config: configuration of the run, kept in the checkpoint.
@@ -153,10 +153,10 @@ def train_ppo(
     }  # fmt: skip
     if resume_from is not None:
         counters |= load_checkpoint(resume_from, {**components, "counters": dict(counters)})["counters"]
-        env.set_seed(int(run_config["seed"]) + 1_000_003 * counters["batches"])
-    logs = RunLogs(run_dir)
+        env.set_seed(int(run_config["seed"]) + 1_000_003 * counters["batches"])  # other episodes than those already seen
+    logs = RunLogs(run_dir, last_step=counters["control_steps"])
     collector = Collector(
-        env, actor, frames_per_batch=env.numel() * config.policy_steps, total_frames=-1, trust_policy=True,
+        env, actor, frames_per_batch=env.numel() * policy_steps, total_frames=-1, trust_policy=True,
         auto_register_policy_transforms=False,
     )
     bar = tqdm(total=config.total_control_steps, initial=counters["control_steps"], unit=" steps", unit_scale=True)
