@@ -1,0 +1,1 @@
+"""Contact-safe reinforcement learning in TorchRL: ProMPs, PPO and an energy tank on a simulated Panda."""

@@ -76,9 +76,9 @@ class Config:
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
 
-def make_promp(config: Config) -> ProMP:
-    """The movement primitive, its prior fitted to scripted demonstrations."""
-    return fit_push_prior(ProMP(config.num_basis, len(PUSH_AXES), config.duration))
+def blank_promp(config: Config) -> ProMP:
+    """The movement primitive before its prior is fitted, or loaded."""
+    return ProMP(config.num_basis, len(PUSH_AXES), config.duration)
 
 
 def make_env(
@@ -124,7 +124,7 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
 def main(config: Config) -> Path:
     """Train."""
     torch.manual_seed(config.seed)
-    promp = make_promp(config)
+    promp = fit_push_prior(blank_promp(config))  # from scripted demonstrations
     env = make_env(config, promp)
     actor, critic = make_policy(config, env)
     policy_steps = -(-env.base_env.horizon // (config.replan_steps or env.base_env.horizon))

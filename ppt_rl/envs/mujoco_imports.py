@@ -11,7 +11,7 @@ import logging
 import os
 import warnings
 
-__all__ = ["mjcf", "mjcf_physics", "mujoco", "rendering_backend"]
+__all__ = ["mjcf", "mujoco", "rendering_backend"]
 
 
 def rendering_backend() -> str:
@@ -33,6 +33,5 @@ with warnings.catch_warnings():
     try:
         import mujoco
         from dm_control import mjcf
-        from dm_control.mujoco import Physics as mjcf_physics  # noqa: N813
     finally:
         logging.disable(_level)

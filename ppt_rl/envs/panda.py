@@ -61,8 +61,8 @@ class PandaEnv(EnvBase):
     """
 
     tool: Tool = PADDLE
-    #: Whether the end of the horizon is the end of the task (``terminated``: nothing to bootstrap from) or just the end of
-    #: the record (``truncated``).
+    #: Whether the end of the horizon is the end of the task (``terminated``: nothing to bootstrap from) or just the end
+    #: of the record (``truncated``).
     horizon_terminates = False
     #: Pose of the end effector at the start: in front of the base, bar at box height, tool down [m, -].
     start_pose = (0.36, 0.0, 0.02, 0.0, 1.0, 0.0, 0.0)
@@ -229,7 +229,9 @@ class PandaEnv(EnvBase):
         mujoco.mj_forward(model, data)
         return self._rendered
 
-    def render(self, index: int = 0, *, camera: str = "overview", width: int = 640, height: int = 480) -> NDArray[np.uint8]:
+    def render(
+        self, index: int = 0, *, camera: str = "overview", width: int = 640, height: int = 480
+    ) -> NDArray[np.uint8]:
         """Picture of one environment, rendered off screen.
 
         Args:
@@ -255,6 +257,7 @@ class PandaEnv(EnvBase):
 
     def _layout(self, model: Any) -> None:
         """Slices of the sensor vector and the tool's weight."""
+
         def span(first: str, last: str) -> slice:
             a, b = model.sensor(first), model.sensor(last)
             return slice(int(a.adr[0]), int(b.adr[0] + b.dim[0]))
@@ -281,8 +284,8 @@ class PandaEnv(EnvBase):
             return Binary(n=1, shape=(*batch, 1), dtype=torch.bool, device=device)
 
         self.observation_spec = Composite(
-            joint_position=real(7), joint_velocity=real(7), pose=real(7), twist=real(6), wrench=real(6), diverged=flag(),
-            shape=batch, device=device,
+            joint_position=real(7), joint_velocity=real(7), pose=real(7), twist=real(6), wrench=real(6),
+            diverged=flag(), shape=batch, device=device,
         )  # fmt: skip
         self.observation_spec.update(self._task_spec())
         limit = torch.tensor(TORQUE_LIMITS, dtype=dtype, device=device).expand(*batch, 7)

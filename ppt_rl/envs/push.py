@@ -156,7 +156,13 @@ class PandaPushEnv(PandaEnv):
         arm = self._arm_position(pose).numpy()
         half = 0.5 * drawn["yaw"]
         size = drawn["size"]
-        box = [drawn["box"], 0.5 * size[:, None], np.cos(half)[:, None], np.zeros((len(rows), 2)), np.sin(half)[:, None]]
+        box = [
+            drawn["box"],
+            0.5 * size[:, None],
+            np.cos(half)[:, None],
+            np.zeros((len(rows), 2)),
+            np.sin(half)[:, None],
+        ]
         return np.concatenate([arm, *box], -1)
 
     def _write_parameters(self, model: Any, row: int) -> None:
@@ -312,7 +318,11 @@ class _Episode:
         self.physical["half"][rows] = 0.5 * drawn["size"]
         self.physical["mass"][rows] = drawn["mass"]
         self.physical["friction"][rows] = drawn["friction"]
-        for name, value in (("half", 0.5 * drawn["size"][:, None]), ("box_start", drawn["box"]), ("goal", drawn["goal"])):
+        for name, value in (
+            ("half", 0.5 * drawn["size"][:, None]),
+            ("box_start", drawn["box"]),
+            ("goal", drawn["goal"]),
+        ):
             tensor = getattr(self, name).clone()
             tensor[index] = torch.from_numpy(value).to(self.dtype)
             setattr(self, name, tensor)
@@ -325,6 +335,7 @@ def _draw(
     rng: np.random.Generator, count: int, ranges: PushRandomisation, box_sizes: Sequence[float]
 ) -> dict[str, np.ndarray]:
     """Draw ``count`` episodes."""
+
     def uniform(low_high: tuple[float, float]) -> np.ndarray:
         return rng.uniform(*low_high, size=count)
 

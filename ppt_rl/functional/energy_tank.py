@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import threshold
 
 from ppt_rl.functional.checks import require_finite
 
@@ -36,7 +37,8 @@ def energy_tank(
         E' &= \mathrm{clip}(E - \gamma\, p\, \Delta t,\ 0,\ E_{max})
 
     Both roundings go to the safe side by four units in the last place: ``valve * p <= p_max`` and
-    ``sum(valve * p * dt) <= E_0`` hold for the stored floating-point numbers, not only on paper.
+    ``sum(valve * p * dt) <= E_0`` hold for the stored floating-point numbers, not only on paper. Where numbers are
+    subnormal, ulps mean nothing, so such a valve is closed and a level of next to nothing counts as empty.
 
     Args:
         effort: ``(*B, N)`` nominal effort: wrench [N, N m] or joint torque [N m].
@@ -61,9 +63,11 @@ def energy_tank(
     require_finite("tank_energy", energy)
     ulps = 4 * torch.finfo(p.dtype).eps
     divisor = p.clamp_min(eps)
-    limit = torch.minimum(energy / dt, torch.full_like(energy, p_max)) / divisor
-    valve = (limit * (1 - ulps)).clamp(0.0, 1.0)
+    tiny = torch.finfo(p.dtype).tiny
+    usable = threshold(energy, tiny / ulps, 0.0)  # [J]
+    limit = torch.minimum(usable / dt, torch.full_like(energy, p_max)) / divisor
+    valve = threshold((limit * (1 - ulps)).clamp_max(1.0), tiny, 0.0)
     power = valve * p
     spent = power * dt  # [J]
-    level = energy * (1 - ulps * (spent > 0).to(p.dtype)) - spent * (1 + ulps)
+    level = energy * (1 - ulps * (p > 0).to(p.dtype)) - spent * (1 + ulps)
     return EnergyTankStep(valve, level.clamp(0.0, e_max), power)

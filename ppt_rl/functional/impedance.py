@@ -92,8 +92,8 @@ def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping:
 
     .. math:: \tau_n = \big(I - J^\top (J M^{-1} J^\top + \mu^2 I)^{-1} J M^{-1}\big)\, \tau
 
-    the dynamically consistent projection for a diagonal inertia ``M``; the damping bounds it through singularities. With
-    ``M = I`` it is the kinematic projection.
+    the dynamically consistent projection for a diagonal inertia ``M``; the damping bounds it through singularities.
+    With ``M = I`` it is the kinematic projection.
 
     Args:
         jacobian: ``(*B, 6, N)`` geometric Jacobian.

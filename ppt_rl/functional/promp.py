@@ -169,9 +169,9 @@ def condition(prior: Gaussian, observation: Tensor, value: Tensor, cov: Tensor, 
     """
     dtype = prior.mean.dtype
     mean, sigma = prior.mean.double(), prior.cov.double()
-    keep = mask.double()
-    h = observation.double() * keep.unsqueeze(-1)
-    noise = cov.double() * keep.unsqueeze(-1) * keep.unsqueeze(-2)
+    # Selected, not multiplied by zero: what a masked row holds may be NaN.
+    h = torch.where(mask.unsqueeze(-1), observation.double(), 0.0)
+    noise = torch.where(mask.unsqueeze(-1) & mask.unsqueeze(-2), cov.double(), 0.0)
     residual = torch.where(mask, value.double(), 0.0) - (h @ mean.unsqueeze(-1)).squeeze(-1)
     cross = h @ sigma  # (*B, R, N)
     innovation = cross @ h.mT + noise
@@ -207,7 +207,12 @@ def fit_ridge(trajectories: Tensor, basis_matrix: Tensor, ridge: float) -> Gauss
 
 
 def fit_em(
-    trajectories: Tensor, mask: Tensor, basis_matrix: Tensor, ridge: float, iterations: int = 100, tolerance: float = 1e-8
+    trajectories: Tensor,
+    mask: Tensor,
+    basis_matrix: Tensor,
+    ridge: float,
+    iterations: int = 100,
+    tolerance: float = 1e-8,
 ) -> tuple[Gaussian, Tensor]:
     r"""Maximum likelihood of ``y_n = (I_D x Phi_n) w_n + noise``, ``w_n ~ N(mu, Sigma)``, by expectation maximisation.
 

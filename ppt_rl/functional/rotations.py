@@ -82,7 +82,7 @@ def quat_to_matrix(quat: Tensor) -> Tensor:
 def matrix_to_quat(matrix: Tensor) -> Tensor:
     """Unit quaternion, ``w >= 0``, of a rotation matrix.
 
-    Of the four algebraically equal forms the one with the largest divisor is taken, so no division is by a small number.
+    Of the four algebraically equal forms the one with the largest divisor is taken: no division by a small number.
 
     Args:
         matrix: ``(*B, 3, 3)`` rotation matrix.

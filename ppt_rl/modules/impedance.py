@@ -16,7 +16,7 @@ __all__ = ["CartesianImpedanceController"]
 STIFFNESS = (400.0, 400.0, 400.0, 30.0, 30.0, 30.0)
 #: Apparent inertia of the arm with its tool at the pushing height, per axis: medians over the push workspace
 #: (``python benchmarks/apparent_inertia.py``) [kg, kg m^2].
-APPARENT_INERTIA = (8.4, 4.9, 8.7, 0.90, 0.76, 0.10)
+APPARENT_INERTIA = (8.35, 4.90, 8.75, 0.91, 0.75, 0.10)
 
 
 class CartesianImpedanceController(nn.Module):
@@ -68,10 +68,14 @@ class CartesianImpedanceController(nn.Module):
             else:
                 self.register_buffer(f"log_{name}", log)
 
+    def _gain(self, name: str) -> Tensor:
+        log: Tensor = getattr(self, f"log_{name}")
+        return log.exp()
+
     @property
     def stiffness(self) -> Tensor:
         """``(6,)`` diagonal of K [N/m, N m/rad]."""
-        return self.log_stiffness.exp()
+        return self._gain("stiffness")
 
     @property
     def damping(self) -> Tensor:
@@ -80,8 +84,8 @@ class CartesianImpedanceController(nn.Module):
 
     def _damping(self, stiffness: Tensor) -> Tensor:
         if hasattr(self, "log_fixed_damping"):
-            return self.log_fixed_damping.exp()
-        ratio, inertia = self.log_damping_ratio.exp(), self.log_inertia.exp()
+            return self._gain("fixed_damping")
+        ratio, inertia = self._gain("damping_ratio"), self._gain("inertia")
         return critical_damping(stiffness, ratio.to(stiffness.dtype), inertia.to(stiffness.dtype))
 
     def forward(

@@ -62,6 +62,8 @@ class PandaKinematics(nn.Module):
         (torch.Size([2, 7]), torch.Size([2, 6, 7]))
     """
 
+    _anchor: Tensor
+
     def __init__(self, tool_length: float, dtype: torch.dtype = torch.float32) -> None:
         super().__init__()
         self.tool_length = float(tool_length)
@@ -121,15 +123,20 @@ class PandaKinematics(nn.Module):
         low, high = position.new_tensor(JOINT_LIMITS).unbind(-1)
         for _ in range(iterations):
             reached, jacobian = self.forward(position)
-            error = torch.cat([pose[..., :3] - reached[..., :3], orientation_error(reached[..., 3:], pose[..., 3:])], -1)
+            error = torch.cat(
+                [pose[..., :3] - reached[..., :3], orientation_error(reached[..., 3:], pose[..., 3:])], -1
+            )
             if bool(error.abs().amax() < 1e-7):
                 break
             gram = jacobian @ jacobian.mT + damping**2 * torch.eye(6, dtype=jacobian.dtype, device=jacobian.device)
             step = (jacobian.mT @ torch.linalg.solve(gram, error.unsqueeze(-1))).squeeze(-1)
             position = torch.maximum(torch.minimum(position + step, high), low)
-        if bool(error.abs().amax() > 1e-4):
+        # The orientation error also vanishes half a turn away, where the quaternions are orthogonal.
+        turned_over = (reached[..., 3:] * pose[..., 3:]).sum(-1).abs() < 0.5
+        missed = (error.abs().amax(-1) > 1e-4) | turned_over
+        if bool(missed.any()):
             raise ValueError(
-                f"no joint position found for {int((error.abs().amax(-1) > 1e-4).sum())} of the poses (error up to "
+                f"no joint position found for {int(missed.sum())} of the poses (error up to "
                 f"{float(error.abs().amax()):.3g}); expected poses within the arm's reach, near the guess."
             )
         return position

@@ -5,7 +5,18 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-__all__ = ["DH", "FLANGE", "HOME", "INERTIAL", "JOINT_INERTIA",  "JOINT_LIMITS", "TORQUE_LIMITS", "VELOCITY_LIMITS", "Inertial", "Limits"]
+__all__ = [
+    "DH",
+    "FLANGE",
+    "HOME",
+    "INERTIAL",
+    "JOINT_INERTIA",
+    "JOINT_LIMITS",
+    "TORQUE_LIMITS",
+    "VELOCITY_LIMITS",
+    "Inertial",
+    "Limits",
+]
 
 
 class Limits(NamedTuple):
@@ -35,7 +46,7 @@ class Inertial(NamedTuple):
 
 
 _HALF_PI = math.pi / 2
-#: Modified (Craig) Denavit-Hartenberg rows ``(a [m], d [m], alpha [rad])`` of joints 1 to 7 (Franka Emika, control parameters).
+#: Modified (Craig) Denavit-Hartenberg rows ``(a [m], d [m], alpha [rad])`` of joints 1 to 7 (Franka Emika's own).
 DH = (
     (0.0, 0.333, 0.0),
     (0.0, 0.0, -_HALF_PI),
@@ -65,7 +76,7 @@ TORQUE_LIMITS = (87.0,) * 4 + (12.0,) * 3
 HOME = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4)
 #: Diagonal of the joint inertia matrix with rotors: medians over the push workspace
 #: (``python benchmarks/apparent_inertia.py``) [kg m^2].
-JOINT_INERTIA = (1.59, 1.88, 1.21, 0.91, 0.127, 0.135, 0.105)
+JOINT_INERTIA = (1.58, 1.87, 1.21, 0.91, 0.127, 0.135, 0.105)
 #: Identified inertial parameters of links 1 to 7 (Gaz et al., RA-L 2019, "Dynamic identification of the Franka Emika
 #: Panda robot with retrieval of feasible parameters using penalty-based optimization").
 INERTIAL = (

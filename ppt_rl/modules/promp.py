@@ -127,9 +127,7 @@ class ProMP(nn.Module):
         cov = self.weights_cov.double()
         eye = torch.eye(len(cov), dtype=cov.dtype, device=cov.device)
         factor = torch.linalg.cholesky(cov + 1e-12 * cov.diagonal().amax() * eye).to(self.weights_mean.dtype)
-        noise = torch.randn(
-            num_samples, len(cov), dtype=factor.dtype, device=factor.device, generator=generator
-        )
+        noise = torch.randn(num_samples, len(cov), dtype=factor.dtype, device=factor.device, generator=generator)
         return law.unvec(law.vec(self.weights_mean) + noise @ factor.mT, self.num_basis)
 
     def fit(self, demonstrations: Tensor | Sequence[Tensor], *, ridge: float = 1e-6) -> ProMP:
@@ -213,6 +211,8 @@ class ProMP(nn.Module):
         used = torch.cat(masks, -1)
         position = torch.cat(values, -2)
         cov = torch.cat(covs, -3)
+        phases = torch.cat([via_phase] * len(masks), -1)
+        require_finite("via-point phases", torch.where(used, phases, 0.0))
         require_finite("via-points", torch.where(used.unsqueeze(-1), position, 0.0))
         require_finite("via-point covariance", torch.where(used[..., None, None], cov, 0.0))
         observation = law.observation_matrix(torch.cat(rows, -2), self.num_dof)

@@ -18,8 +18,8 @@ _LINEAR = ("x", "y", "z")
 class TaskSpace(nn.Module):
     """Map between D coordinates and end-effector pose and twist; what is not named stays at the origin pose.
 
-    ``x``, ``y``, ``z`` are world coordinates of the end-effector point [m]; ``yaw`` turns the origin's orientation about
-    the world z axis [rad].
+    ``x``, ``y``, ``z`` are world coordinates of the end-effector point [m]; ``yaw`` turns the origin's orientation
+    about the world z axis [rad].
 
     Args:
         axes: names of the coordinates, in the order of the D columns.
@@ -67,7 +67,9 @@ class TaskSpace(nn.Module):
             for i, axis in enumerate(_LINEAR)
         ]
         if "yaw" in self.axes:
-            quat = quat_multiply(quat_from_yaw(position[..., self.axes.index("yaw")]), origin[3:].expand(*position.shape[:-1], 4))
+            quat = quat_multiply(
+                quat_from_yaw(position[..., self.axes.index("yaw")]), origin[3:].expand(*position.shape[:-1], 4)
+            )
         else:
             quat = origin[3:].expand(*position.shape[:-1], 4)
         return torch.cat([torch.stack(columns, -1), quat], -1)
@@ -83,9 +85,7 @@ class TaskSpace(nn.Module):
         """
         zero = torch.zeros_like(velocity[..., 0])
         names = (*_LINEAR, "roll", "pitch", "yaw")
-        return torch.stack(
-            [velocity[..., self.axes.index(name)] if name in self.axes else zero for name in names], -1
-        )
+        return torch.stack([velocity[..., self.axes.index(name)] if name in self.axes else zero for name in names], -1)
 
     def project(self, pose: Tensor) -> Tensor:
         """Coordinates of a pose: the inverse of :meth:`pose` on the poses it makes.

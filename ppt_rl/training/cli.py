@@ -19,7 +19,8 @@ _Config = TypeVar("_Config")
 def run_cli(main: Callable[[_Config], Any], config_class: type[_Config]) -> None:
     """Parse the options of a dataclass and run.
 
-    A wrong value or an unfit checkpoint ends the program with its message and status 2.
+    A wrong value or an unfit checkpoint ends the program with its message and status 2, Ctrl-C with
+    130.
 
     Args:
         main: called with the parsed configuration.
@@ -28,6 +29,8 @@ def run_cli(main: Callable[[_Config], Any], config_class: type[_Config]) -> None
     warnings.filterwarnings("ignore", category=FutureWarning, module="torchrl")
     try:
         main(tyro.cli(config_class))
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
     except (CheckpointMismatch, ValueError, KeyError) as error:
         message = error.args[0] if error.args else error
         print(f"{sys.argv[0]}: error: {message}", file=sys.stderr)

@@ -132,3 +132,44 @@ def evaluate(env: EnvBase, policy: Any, episodes: int) -> dict[str, dict[str, An
         ``{name: {"mean": x, "ci95": [low, high]}}``.
     """
     return summarise(run_episodes(env, policy, episodes))
+
+
+class ZeroPolicy:
+    """The reference alone: a policy whose action is zero.
+
+    Args:
+        actor: whose action's shape it takes.
+    """
+
+    def __init__(self, actor: Any) -> None:
+        self._actor = actor
+
+    def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write a zero action."""
+        tensordict = self._actor(tensordict)
+        return tensordict.set("action", torch.zeros_like(tensordict["action"]))
+
+
+@torch.no_grad()
+def record_episodes(env: EnvBase, policy: Any) -> TensorDictBase:
+    """One episode of every environment with the traces of all its control steps.
+
+    Args:
+        env: its :class:`~ppt_rl.transforms.MacroStepTransform` has ``trace_keys``.
+        policy: writes the action; its mean is taken.
+
+    Returns:
+        The last ``next`` of the episode, ``("trace", key)`` joined over its policy steps to ``(B, T, ...)``, and
+        ``control_steps`` their sum.
+    """
+    chunks: list[TensorDictBase] = []
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        tensordict = env.reset()
+        while not chunks or not bool(chunks[-1]["done"].all()):
+            tensordict = env.step(policy(tensordict))
+            chunks.append(tensordict["next"])
+            tensordict = env.step_mdp(tensordict)
+    episode = chunks[-1].clone(recurse=False)
+    for key in chunks[0]["trace"].keys(True, True):
+        episode.set(("trace", key), torch.cat([chunk["trace", key] for chunk in chunks], 1))
+    return episode.set("control_steps", torch.stack([chunk["control_steps"] for chunk in chunks]).sum(0))

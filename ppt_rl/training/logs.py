@@ -33,7 +33,10 @@ class RunLogs:
         for path in (run_dir / "logs" / "csv" / "scalars").glob("*.csv"):
             lines = path.read_text().splitlines(keepends=True)
             write_text_atomically(path, "".join(line for line in lines if int(line.split(",")[0]) <= last_step))
-        self._loggers = [CSVLogger(exp_name="csv", log_dir=logs), TensorboardLogger(exp_name="tensorboard", log_dir=logs)]
+        self._loggers = [
+            CSVLogger(exp_name="csv", log_dir=logs),
+            TensorboardLogger(exp_name="tensorboard", log_dir=logs),
+        ]
 
     def write(self, scalars: Mapping[str, float], step: int) -> None:
         """Log scalars.

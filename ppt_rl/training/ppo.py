@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
+from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
 from torchrl.objectives.value import GAE
 from tqdm import tqdm
@@ -69,7 +70,7 @@ class PPOConfig:
 class _Learner:
     """Losses, optimizer and learning-rate schedule of one run."""
 
-    def __init__(self, actor: nn.Module, critic: nn.Module, config: PPOConfig) -> None:
+    def __init__(self, actor: ProbabilisticActor, critic: nn.Module, config: PPOConfig) -> None:
         self.actor, self.critic, self.config = actor, critic, config
         self.advantage = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=critic, average_gae=False)
         self.advantage.set_keys(steps_to_next_obs=("next", "control_steps"))
@@ -115,7 +116,7 @@ class _Learner:
 
 def train_ppo(
     env: EnvBase,
-    actor: nn.Module,
+    actor: ProbabilisticActor,
     critic: nn.Module,
     config: PPOConfig,
     *,
@@ -127,7 +128,7 @@ def train_ppo(
     resume_from: Path | None = None,
     on_batch: Callable[[int, dict[str, float]], None] | None = None,
 ) -> Path:
-    """Train until the budget of control steps is spent; Ctrl-C ends early with a good checkpoint.
+    """Train until the budget of control steps is spent. Ctrl-C ends it early, with a good checkpoint written first.
 
     Args:
         env: batch-locked environment with the recipe's chain; its batch must report ``("next", "control_steps")``.
@@ -146,17 +147,23 @@ def train_ppo(
         Path of the last checkpoint.
     """
     learner = _Learner(actor, critic, config)
-    counters = {"control_steps": 0, "batches": 0, "seconds": 0.0}
+    counters: dict[str, Any] = {"control_steps": 0, "batches": 0, "seconds": 0.0}
     components = {
         "actor": actor, "critic": critic, "optimizer": learner.optimizer, "schedule": learner.schedule,
         "rng": GlobalRNGState(), **(extra or {}),
     }  # fmt: skip
     if resume_from is not None:
         counters |= load_checkpoint(resume_from, {**components, "counters": dict(counters)})["counters"]
-        env.set_seed(int(run_config["seed"]) + 1_000_003 * counters["batches"])  # other episodes than those already seen
+        env.set_seed(
+            int(run_config["seed"]) + 1_000_003 * counters["batches"]
+        )  # other episodes than those already seen
     logs = RunLogs(run_dir, last_step=counters["control_steps"])
     collector = Collector(
-        env, actor, frames_per_batch=env.numel() * policy_steps, total_frames=-1, trust_policy=True,
+        env,
+        actor,
+        frames_per_batch=env.numel() * policy_steps,
+        total_frames=-1,
+        trust_policy=True,
         auto_register_policy_transforms=False,
     )
     bar = tqdm(total=config.total_control_steps, initial=counters["control_steps"], unit=" steps", unit_scale=True)
@@ -180,7 +187,10 @@ def train_ppo(
             if counters["batches"] % config.checkpoint_every == 0:
                 path = _save(run_dir, components, counters, variant, run_config, success)
     except KeyboardInterrupt:
-        bar.write(f"Interrupted after {counters['control_steps']} control steps; writing a checkpoint. Go on with --resume.")
+        bar.write(
+            f"Interrupted after {counters['control_steps']} control steps; a checkpoint is written. Go on by --resume."
+        )
+        raise
     finally:
         path = _save(run_dir, components, counters, variant, run_config, success)
         bar.close()
@@ -216,5 +226,7 @@ def batch_statistics(batch: TensorDictBase) -> dict[str, float]:
         "progress": ended["progress"].mean(),
     }
     statistics |= {name: ended["metrics", name].mean() for name in following["metrics"].keys()}
-    statistics |= {f"reward_{name}": following["reward_terms", name].mean() for name in following["reward_terms"].keys()}
+    statistics |= {
+        f"reward_{name}": following["reward_terms", name].mean() for name in following["reward_terms"].keys()
+    }
     return {name: float(value) for name, value in statistics.items()}

@@ -70,14 +70,9 @@ def fit_norms(env: EnvBase, modules: Sequence[nn.Module], policy_steps: int, res
     if policy_steps > 1:
         rollout = env.rollout(policy_steps, break_when_any_done=False)
         samples += [rollout[:, step] for step in range(policy_steps)]
-    keys = set().union(*(module.in_keys for module in _inner(modules)))
-    data = torch.cat([sample.select(*keys) for sample in samples])
+    data = torch.cat([sample.select(*env.observation_keys) for sample in samples])
     for module in modules:
         fit_input_norm(module, data)
-
-
-def _inner(modules: Sequence[nn.Module]) -> list[nn.Module]:
-    return [module[0] if hasattr(module, "__getitem__") and hasattr(module, "get_dist") else module for module in modules]
 
 
 def run_recipe(
@@ -127,7 +122,7 @@ def run_recipe(
 
 
 def _check_same_run(old: Mapping[str, Any], new: Mapping[str, Any], path: Path) -> None:
-    """Refuse to resume with a configuration that is another one, but for budget, place and threads."""
+    """Refuse to resume with another configuration; budget, place and threads may differ."""
     free = {"run_dir", "resume", "num_threads"}
     differing = [key for key in new if key not in free and key != "ppo" and old.get(key) != new[key]]
     differing += [
@@ -135,6 +130,6 @@ def _check_same_run(old: Mapping[str, Any], new: Mapping[str, Any], path: Path) 
     ]
     if differing:
         raise CheckpointMismatch(
-            f"{path} was trained with other values of {', '.join(differing)}; expected the same as now. Resume with the "
-            "options in config.json, or start another run by --run-dir."
+            f"{path} was trained with other values of {', '.join(differing)}; expected the same as now. Resume with "
+            "the options in config.json, or start another run by --run-dir."
         )

@@ -28,7 +28,7 @@ class MacroStepTransform(ActionTransform):
     * the other entries are those of the last control step that a row executed;
     * ``control_steps`` ``(*B, 1)`` is how many a row executed, for the SMDP discount
       (``GAE.set_keys(steps_to_next_obs=("next", "control_steps"))``) and for counting frames;
-    * ``trace_keys`` are recorded at every control step under ``("trace", key)``, ``(*B, N, ...)``, zero after a row ends.
+    * ``trace_keys`` are recorded at every control step under ``("trace", key)``, ``(*B, N, ...)``; zero after the end.
 
     When every row ends before the chunk does, the environment is stepped once more and its answer discarded.
 
@@ -176,7 +176,7 @@ class _Memory:
     """What one chunk adds up: it lives for the duration of one step, in the tensordict."""
 
     def __init__(self, tensordict: TensorDictBase, sum_keys: list[NestedKey], trace_keys: list[NestedKey]) -> None:
-        self.total: dict[NestedKey, Tensor] = dict.fromkeys(sum_keys)  # type: ignore[arg-type]
+        self.total: dict[NestedKey, Tensor | None] = dict.fromkeys(sum_keys)
         self.trace: dict[NestedKey, list[Tensor]] = {key: [] for key in trace_keys}
         self.count = torch.zeros(tensordict.batch_size, dtype=torch.int64, device=tensordict.device)
         self.alive: Tensor | None = None

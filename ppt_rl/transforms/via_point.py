@@ -24,8 +24,8 @@ class ViaPointTransform(Transform):
         \mu_{w|D} = \Sigma_{w|D} (\Sigma_w^{-1} \mu_w + H^\top \Sigma_D^{-1} y_D)
 
     Reads ``via_phase`` ``(*B, M)``, ``via_position`` ``(*B, M, D)``, ``via_cov`` ``(*B, M, D, D)`` and, where there,
-    ``via_mask`` ``(*B, M)``, and the same with ``via_velocity``. Writes ``weights_mean`` ``(*B, K, D)`` and, on request,
-    ``weights_cov`` ``(*B, K * D, K * D)``. It has no state and works as well on stored data.
+    ``via_mask`` ``(*B, M)``, and the same with ``via_velocity``. Writes ``weights_mean`` ``(*B, K, D)`` and, on
+    request, ``weights_cov`` ``(*B, K * D, K * D)``. It has no state and works as well on stored data.
 
     Args:
         promp: the movement primitive and its prior.

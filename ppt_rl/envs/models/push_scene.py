@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 from ppt_rl.envs.models.panda import PADDLE, Tool, attach_tool, panda_model
-from ppt_rl.envs.mujoco_imports import mjcf
 
 __all__ = ["PUSH_BOX", "push_scene", "table_scene"]
 
@@ -25,7 +24,12 @@ def _add_looks(root: Any) -> None:
         width=64, height=384,
     )  # fmt: skip
     root.worldbody.add(
-        "light", pos=[0.3, -0.6, 1.8], dir=[0.1, 0.35, -1], diffuse=[0.55, 0.55, 0.55], castshadow=True, type="directional"
+        "light",
+        pos=[0.3, -0.6, 1.8],
+        dir=[0.1, 0.35, -1],
+        diffuse=[0.55, 0.55, 0.55],
+        castshadow=True,
+        type="directional",
     )
 
 

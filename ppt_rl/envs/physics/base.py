@@ -16,7 +16,7 @@ class PhysicsStep(NamedTuple):
     """Result of one control step of R environments.
 
     Attributes:
-        sensors: ``(R, substeps, S)`` sensor readings; substep ``k`` is read at its beginning. Valid until the next step.
+        sensors: ``(R, substeps, S)`` readings; substep ``k`` is read at its beginning. Valid until the next step.
         diverged: ``(R,)`` True where the state blew up; such a row keeps the state it had before the step.
     """
 

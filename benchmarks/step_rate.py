@@ -1,0 +1,145 @@
+"""Control steps a second: MuJoCo alone, the environment, the full chain, and the collector with the policy.
+
+All four run in one process on the same models, from the same episodes, with the same substeps and threads, in turn;
+medians are compared. ``python benchmarks/step_rate.py --num-envs 128 --threads 2 --json``
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torchrl.collectors import Collector
+
+from ppt_rl.training import fit_push_prior, run_cli
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipes"))
+
+
+@dataclass(frozen=True)
+class Config:
+    """Measure control steps a second.
+
+    Attributes:
+        num_envs: environments that step together.
+        threads: physics threads; torch gets as many.
+        repeats: episodes of each kind.
+        seconds: episode length [s].
+        json: print one line of JSON only.
+    """
+
+    num_envs: int = 128
+    threads: int = 2
+    repeats: int = 5
+    seconds: float = 3.0
+    json: bool = False
+
+
+def _timed(run: Callable[[], Any]) -> float:
+    start = time.perf_counter()
+    run()
+    return time.perf_counter() - start
+
+
+def _peak_memory() -> float:
+    """Peak resident memory of this process [MiB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+@torch.no_grad()
+def measure(run: Config) -> dict[str, float]:
+    """Rates [control steps/s], their ratios to MuJoCo alone, and memory."""
+    import ppo_ppt_push as recipe
+
+    torch.set_num_threads(run.threads)
+    config = replace(recipe.Config(), num_envs=run.num_envs, num_threads=run.threads, duration=run.seconds, seed=1)
+    promp = fit_push_prior(recipe.blank_promp(config), num_demonstrations=64)
+    before = _peak_memory()
+    env = recipe.make_env(config, promp, trace=())
+    actor, _ = recipe.make_policy(config, env)
+    base, engine = env.base_env, env.base_env.engine
+    env.reset()
+    memory = (_peak_memory() - before) / run.num_envs
+    torques = _reference_torques(recipe, config, promp, env, actor)
+    action = torch.from_numpy(torques).float()
+    collector = iter(Collector(
+        env, actor, frames_per_batch=run.num_envs, total_frames=-1, trust_policy=True,
+        auto_register_policy_transforms=False,
+    ))  # fmt: skip
+
+    def restart() -> None:
+        env.set_seed(1)
+        env.reset()
+
+    def raw() -> None:
+        for control in torques:
+            engine.step(control)
+
+    def environment() -> None:
+        tensordict = base.fake_tensordict().exclude("next")
+        for step in action:
+            base._step(tensordict.set("action", step))
+
+    tensordict = None
+
+    def chain() -> None:
+        env.step(tensordict)
+
+    times: dict[str, list[float]] = {"raw": [], "base": [], "chain": [], "collector": []}
+    next(collector)
+    for _ in range(run.repeats):
+        restart()
+        times["raw"].append(_timed(raw))
+        restart()
+        times["base"].append(_timed(environment))
+        env.set_seed(1)
+        tensordict = actor(env.reset())
+        times["chain"].append(_timed(chain))
+        times["collector"].append(_timed(lambda: next(collector)))
+    steps = run.num_envs * base.horizon
+    rates = {name: steps / statistics.median(values) for name, values in times.items()}
+    result = {f"rate_{name}": rate for name, rate in rates.items()}
+    result |= {f"ratio_{name}": rates[name] / rates["raw"] for name in ("base", "chain", "collector")}
+    paired = {name: [r / t for r, t in zip(times["raw"], times[name], strict=True)] for name in ("chain", "collector")}
+    result |= {f"paired_{name}": statistics.median(values) for name, values in paired.items()}
+    return result | {"memory_per_env_mib": memory, "num_envs": run.num_envs, "threads": run.threads}
+
+
+def _reference_torques(recipe: Any, config: Any, promp: Any, env: Any, actor: Any) -> np.ndarray:
+    """Joint torques ``(T, num_envs, 7)`` that the chain sends in these episodes: all four do the same physics."""
+    sent: list[np.ndarray] = []
+    engine = env.base_env.engine
+    step = engine.step
+
+    def spy(control: np.ndarray, rows: Any = None) -> Any:
+        sent.append(control.copy())
+        return step(control, rows)
+
+    env.set_seed(1)
+    engine.step = spy
+    env.step(actor(env.reset()))
+    del engine.step
+    return np.stack(sent)
+
+
+def main(run: Config) -> None:
+    """Measure and print."""
+    result = measure(run)
+    if run.json:
+        print(json.dumps(result))
+        return
+    for name, value in result.items():
+        print(f"{name:>22} {value:10.3f}")
+
+
+if __name__ == "__main__":
+    run_cli(main, Config)

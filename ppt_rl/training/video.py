@@ -1,0 +1,74 @@
+"""Videos of recorded episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import imageio.v2 as imageio
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+
+from ppt_rl.envs import PandaPushEnv
+
+__all__ = ["push_frames", "write_video"]
+
+Image = NDArray[np.uint8]
+
+
+def push_frames(
+    env: PandaPushEnv,
+    episodes: TensorDictBase,
+    rows: Sequence[int],
+    *,
+    every: int = 4,
+    cameras: Sequence[str] = ("overview", "top"),
+    size: tuple[int, int] = (640, 480),
+) -> Iterator[Image]:
+    """Frames of recorded pushing episodes, cameras side by side.
+
+    Args:
+        env: the environment the episodes come from, not reset since: box sizes and goals are its present ones.
+        episodes: holds ``("trace", "joint_position")`` (B, T, 7) and ``("trace", "box_pose")`` (B, T, 7).
+        rows: which environments.
+        every: control steps between frames.
+        cameras: which.
+        size: width and height of each picture [pixels]; both even.
+
+    Yields:
+        ``(height, width * cameras, 3)`` RGB images.
+
+    Raises:
+        RuntimeError: if no OpenGL library is found.
+    """
+    for row in rows:
+        steps = int(episodes["control_steps"][row])
+        trace = episodes["trace"][row]
+        positions = torch.cat([trace["joint_position"], trace["box_pose"]], -1).double().numpy()
+        for step in range(0, steps, every):
+            env.render(row, width=16, height=16)  # writes this environment's sizes and goal into the renderer
+            physics = env.physics(row)
+            with physics.reset_context():
+                physics.data.qpos[:] = positions[step]
+            views = [physics.render(height=size[1], width=size[0], camera_id=camera) for camera in cameras]
+            yield np.concatenate(views, 1)
+
+
+def write_video(path: Path, frames: Iterator[Image], fps: float) -> None:
+    """Write an H.264 video atomically.
+
+    Args:
+        path: ends in ``.mp4``.
+        frames: RGB images of one size.
+        fps: frames a second.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".draft-{path.name}")
+    writer: Any
+    with imageio.get_writer(draft, fps=fps, codec="libx264", quality=7, macro_block_size=2) as writer:
+        for frame in frames:
+            writer.append_data(frame)
+    draft.replace(path)
