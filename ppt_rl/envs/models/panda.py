@@ -11,7 +11,7 @@ from ppt_rl.modules.panda import DH, FLANGE, INERTIAL, JOINT_LIMITS, TORQUE_LIMI
 
 __all__ = ["PADDLE", "Tool", "attach_tool", "panda_model", "remove_visual_geoms"]
 
-#: Reflected rotor inertia of a joint [kg m^2]: the order of the Panda's harmonic drives; it keeps the wrist calm at 100 Hz.
+#: Reflected rotor inertia of a joint [kg m^2]: the order of the Panda's drives; it keeps the wrist calm at 100 Hz.
 ARMATURE = 0.1
 _WHITE = (0.93, 0.93, 0.92, 1.0)
 _GREY = (0.32, 0.34, 0.37, 1.0)
