@@ -31,7 +31,8 @@ class Config:
 
     Attributes:
         num_envs: environments that step together.
-        threads: physics threads; torch gets as many.
+        threads: physics threads.
+        torch_threads: threads of torch, as in the recipes.
         repeats: episodes of each kind.
         seconds: episode length [s].
         json: print one line of JSON only.
@@ -39,6 +40,7 @@ class Config:
 
     num_envs: int = 128
     threads: int = 2
+    torch_threads: int = 1
     repeats: int = 5
     seconds: float = 3.0
     json: bool = False
@@ -60,7 +62,7 @@ def measure(run: Config) -> dict[str, float]:
     """Rates [control steps/s], their ratios to MuJoCo alone, and memory."""
     import ppo_ppt_push as recipe
 
-    torch.set_num_threads(run.threads)
+    torch.set_num_threads(run.torch_threads)
     config = replace(recipe.Config(), num_envs=run.num_envs, num_threads=run.threads, duration=run.seconds, seed=1)
     promp = fit_push_prior(recipe.blank_promp(config), num_demonstrations=64)
     before = _peak_memory()

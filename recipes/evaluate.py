@@ -185,5 +185,6 @@ def as_arrays(episode: TensorDictBase) -> dict[str, np.ndarray]:
 
 
 if __name__ == "__main__":
+    torch.set_num_threads(1)
     torch.manual_seed(0)
     run_cli(main, Config)

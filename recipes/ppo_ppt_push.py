@@ -39,6 +39,7 @@ class Config:
         resume: go on from the newest checkpoint in run_dir.
         num_envs: environments that step together.
         num_threads: physics threads; 0 takes one per CPU.
+        torch_threads: threads of torch; its tensors are small here, more than one gains nothing.
         duration: episode length [s].
         physics_dt: time step of the physics [s].
         control_dt: time step of the controller [s].
@@ -60,6 +61,7 @@ class Config:
     resume: bool = False
     num_envs: int = 128
     num_threads: int = 0
+    torch_threads: int = 1
     duration: float = 3.0
     physics_dt: float = 0.0005
     control_dt: float = 0.01
@@ -123,6 +125,7 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
 
 def main(config: Config) -> Path:
     """Train."""
+    torch.set_num_threads(config.torch_threads)
     torch.manual_seed(config.seed)
     promp = fit_push_prior(blank_promp(config))  # from scripted demonstrations
     env = make_env(config, promp)

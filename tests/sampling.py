@@ -21,7 +21,9 @@ def random_poses(*shape: int, seed: int = 0) -> Tensor:
 def random_joint_positions(*shape: int, seed: int = 0) -> Tensor:
     """Joint positions, uniform between the limits, float64."""
     low, high = torch.tensor(JOINT_LIMITS, dtype=torch.float64).unbind(-1)
-    return low + (high - low) * torch.rand(*shape, 7, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return low + (high - low) * torch.rand(
+        *shape, 7, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    )
 
 
 def normal(*shape: int, seed: int = 0) -> Tensor:

@@ -141,7 +141,7 @@ class PandaEnv(EnvBase):
         if len(rows):
             index = rows.numpy()
             position = self._begin(index)
-            self._sensors[rows] = torch.from_numpy(self.engine.reset(index, position)).to(self.dtype)
+            self._put_sensors(rows, torch.from_numpy(self.engine.reset(index, position)).to(self.dtype))
             self._elapsed[rows] = 0
             self._diverged[rows] = False
         observation = self._observation()
@@ -154,7 +154,8 @@ class PandaEnv(EnvBase):
         torque = self._checked_torque(tensordict.get("action"), mask)
         if mask is None:
             step = self.engine.step(torque.numpy())
-            good, moved = ~torch.from_numpy(step.diverged), torch.from_numpy(step.sensors[:, -1]).to(self.dtype)
+            good = ~torch.from_numpy(step.diverged)
+            moved = torch.from_numpy(step.sensors[:, -1]).to(self.dtype, copy=True)  # the engine reuses its buffer
             self._sensors = moved if bool(good.all()) else torch.where(good.unsqueeze(-1), moved, self._sensors)
             self._diverged = ~good.unsqueeze(-1)
             self._elapsed += 1
@@ -172,9 +173,14 @@ class PandaEnv(EnvBase):
         step = self.engine.step(torque[rows].numpy(), rows.numpy())
         good = ~torch.from_numpy(step.diverged)
         moved = torch.from_numpy(step.sensors[:, -1]).to(self.dtype)
-        self._sensors[rows] = torch.where(good.unsqueeze(-1), moved, self._sensors[rows])
+        self._put_sensors(rows, torch.where(good.unsqueeze(-1), moved, self._sensors[rows]))
         self._diverged[rows] = ~good.unsqueeze(-1)
         self._elapsed[rows] += 1
+
+    def _put_sensors(self, rows: Tensor, sensors: Tensor) -> None:
+        """Take over readings of some rows. Observations are views, so what was returned before keeps the old tensor."""
+        self._sensors = self._sensors.clone()
+        self._sensors[rows] = sensors
 
     @staticmethod
     def _silence(observation: dict[str, Any], mask: Tensor) -> None:
@@ -244,6 +250,7 @@ class PandaEnv(EnvBase):
             ``(height, width, 3)`` RGB image.
 
         Raises:
+            ValueError: if the scene has no such camera.
             RuntimeError: if no OpenGL library is found.
         """
         if rendering_backend() == "disable":
@@ -251,7 +258,11 @@ class PandaEnv(EnvBase):
                 "rendering needs an OpenGL library and none was found; install EGL or OSMesa "
                 "(Debian and Ubuntu: apt-get install libegl1 or libosmesa6)."
             )
-        return self.physics(index).render(height=height, width=width, camera_id=camera)
+        physics = self.physics(index)
+        cameras = [physics.model.id2name(k, "camera") for k in range(physics.model.ncam)]
+        if camera not in cameras:
+            raise ValueError(f"camera is {camera!r}; expected one of {cameras}.")
+        return physics.render(height=height, width=width, camera_id=camera)
 
     # -- pieces -------------------------------------------------------------------------------------------------------
 

@@ -31,7 +31,7 @@ class PushRandomisation:
         mass: factor on the nominal mass [-].
         box_x: start of the box [m].
         box_y: start of the box [m].
-        box_yaw: yaw of the box off the direction to the goal [rad].
+        box_yaw: yaw of the box off the table's axes [rad].
         goal_x: goal of the box's centre [m].
         goal_y: goal of the box's centre [m].
         tool_x: start of the tool [m].

@@ -130,7 +130,7 @@ def summarise_metrics(memory: Tensor) -> dict[str, Tensor]:
     """
     count = memory[..., _COUNT].clamp_min(1.0)
     cumulative = memory[..., _HISTOGRAM].cumsum(-1)
-    below = (cumulative < 0.95 * count.unsqueeze(-1)).sum(-1).to(memory.dtype)
+    below = (cumulative < 0.95 * memory[..., _COUNT : _COUNT + 1]).sum(-1).to(memory.dtype)
     p95 = _FLOOR * 10.0 ** ((below + 0.5) * (_DECADES / _BINS))
     p95 = torch.where(below == 0, torch.zeros_like(p95), p95)
     span = memory[..., _LAST] - memory[..., _FIRST] + 1.0

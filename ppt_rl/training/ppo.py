@@ -45,11 +45,11 @@ class PPOConfig:
     """
 
     total_control_steps: int = 2_304_000
-    epochs: int = 10
+    epochs: int = 8
     minibatches: int = 4
-    learning_rate: float = 5e-4
+    learning_rate: float = 3e-4
     max_learning_rate: float = 2e-3
-    target_kl: float = 0.02
+    target_kl: float = 0.05
     clip: float = 0.2
     entropy: float = 0.0
     gamma: float = 1.0

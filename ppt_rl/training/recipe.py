@@ -123,7 +123,7 @@ def run_recipe(
 
 def _check_same_run(old: Mapping[str, Any], new: Mapping[str, Any], path: Path) -> None:
     """Refuse to resume with another configuration; budget, place and threads may differ."""
-    free = {"run_dir", "resume", "num_threads"}
+    free = {"run_dir", "resume", "num_threads", "torch_threads"}
     differing = [key for key in new if key not in free and key != "ppo" and old.get(key) != new[key]]
     differing += [
         f"ppo.{key}" for key in new["ppo"] if key != "total_control_steps" and old["ppo"].get(key) != new["ppo"][key]

@@ -20,6 +20,12 @@ class StatefulTransform(Transform):
     The state's keys are declared in ``full_state_spec`` and in the observation spec. A partial reset touches only its
     rows. State computed on the way in (``_inv_call``) waits for ``_step`` under a private root key, which never leaves
     the environment.
+
+    Args:
+        in_keys: as for :class:`torchrl.envs.Transform`.
+        out_keys: likewise.
+        in_keys_inv: likewise.
+        out_keys_inv: likewise.
     """
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:

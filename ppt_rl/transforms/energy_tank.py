@@ -99,21 +99,27 @@ class EnergyTankTransform(ActionTransform):
             (flow,) = self._require(tensordict, self.flow_key)
             if size == 1 and flow.shape == effort.shape[:-1]:
                 flow = flow.unsqueeze(-1)  # a scalar velocity without a trailing dimension
-            if flow.shape != effort.shape:
-                raise ValueError(
-                    f"flow {self.flow_key!r} has shape {tuple(flow.shape)} and effort {self.action_key!r} "
-                    f"{tuple(effort.shape)}; expected the same shape, so that effort . flow is a power."
-                )
-            return flow
+            return self._fitting(self.flow_key, flow, effort)
         for key in _FLOWS:
             flow = tensordict.get(key, None)
             if flow is not None and flow.shape[-1] == size:
-                return flow
+                return self._fitting(key, flow, effort)
         present = sorted(str(k) for k in tensordict.keys(True, True))
         raise KeyError(
             f"EnergyTankTransform found no flow for the effort {self.action_key!r} of size {size}: neither of {_FLOWS} "
             f"is there with that size. Pass flow_key=, the velocity that the effort works on; there are {present}."
         )
+
+    def _fitting(self, key: NestedKey, flow: Tensor, effort: Tensor) -> Tensor:
+        if flow.shape != effort.shape:
+            chunk = (
+                " A chunk of efforts? Append the tank before the MacroStepTransform." if effort.ndim > flow.ndim else ""
+            )
+            raise ValueError(
+                f"flow {key!r} has shape {tuple(flow.shape)} and effort {self.action_key!r} {tuple(effort.shape)}; "
+                f"expected the same shape, so that effort . flow is a power.{chunk}"
+            )
+        return flow
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._unstash(tensordict, next_tensordict, self.energy_key)

@@ -69,7 +69,7 @@ class MacroStepTransform(ActionTransform):
         chunk = self._checked_chunk(tensordict)
         steps = chunk.unbind(tensordict.ndim)
         sum_keys = self._sum_keys()
-        alive: Tensor | None = None  # None: every row
+        alive = self._stepping(tensordict)  # None: every row
         frozen: TensorDictBase | None = None
         memory = _Memory(tensordict, sum_keys, self.trace_keys)
         for action in steps[:-1]:
@@ -77,7 +77,7 @@ class MacroStepTransform(ActionTransform):
             if alive is not None:
                 tensordict.set("_step", alive)
             following = parent._step(tensordict)
-            frozen = following if alive is None else _where(alive, following, frozen)
+            frozen = following if alive is None or frozen is None else _where(alive, following, frozen)
             memory.add(following, alive, self.discount)
             done = following.get("done").reshape(tensordict.batch_size)
             if bool(done.any()):
@@ -98,7 +98,7 @@ class MacroStepTransform(ActionTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         memory: _Memory = tensordict.get_non_tensor(_PRIVATE)
-        if memory.alive is not None:
+        if memory.alive is not None and memory.frozen is not None:
             next_tensordict = _where(memory.alive, next_tensordict, memory.frozen)
         memory.add(next_tensordict, memory.alive, self.discount)
         for key, total in memory.total.items():
@@ -112,6 +112,12 @@ class MacroStepTransform(ActionTransform):
         for key, spec in self._outputs().items():
             tensordict_reset.set(key, spec.zero())
         return tensordict_reset
+
+    @staticmethod
+    def _stepping(tensordict: TensorDictBase) -> Tensor | None:
+        """Rows that the caller lets step; None means all of them."""
+        mask = tensordict.get("_step", None)
+        return None if mask is None or bool(mask.all()) else mask.reshape(tensordict.batch_size)
 
     def _checked_chunk(self, tensordict: TensorDictBase) -> Tensor:
         (chunk,) = self._require(tensordict, self.action_key)
@@ -129,13 +135,14 @@ class MacroStepTransform(ActionTransform):
     # -- specs --------------------------------------------------------------------------------------------------------
 
     def _sum_keys(self) -> list[NestedKey]:
-        cached = self.__dict__.get("_summed")
-        if cached is None:
-            terms = self.parent.full_observation_spec.get("reward_terms", None)
+        parent = self.parent
+        owner, keys = self.__dict__.get("_summed", (None, []))
+        if owner is not parent:  # a clone, or a chain that changed, has another parent
+            terms = parent.full_observation_spec.get("reward_terms", None)
             names = [] if terms is None else [("reward_terms", name) for name in terms.keys()]
-            cached = [*self.parent.reward_keys, *names]
-            self.__dict__["_summed"] = cached
-        return cached
+            keys = [*parent.reward_keys, *names]
+            self.__dict__["_summed"] = parent, keys
+        return keys
 
     def _outputs(self) -> dict[NestedKey, TensorSpec]:
         parent = self.parent
@@ -204,10 +211,8 @@ def _masked(value: Tensor, alive: Tensor | None) -> Tensor:
     return value if alive is None else value * expand_as_right(alive, value).to(value.dtype)
 
 
-def _where(alive: Tensor, new: TensorDictBase, old: TensorDictBase | None) -> TensorDict:
+def _where(alive: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:
     """Rows of ``new`` where alive, of ``old`` elsewhere, for every entry that both have."""
-    if old is None:
-        raise RuntimeError("a row cannot have ended before the first step of a chunk")
     return new._fast_apply(
         lambda a, b: torch.where(expand_as_right(alive, a), a, b), old.select(*new.keys(True, True), strict=False)
     )

@@ -104,8 +104,8 @@ def test_long_random_episodes_empty_the_tank_and_spend_no_more_than_the_first_le
 @each_dtype
 @LAWS
 @given(
-    effort=st.lists(st.floats(-1e15, 1e15, width=32), min_size=6, max_size=6),
-    flow=st.lists(st.floats(-1e15, 1e15, width=32), min_size=6, max_size=6),
+    effort=st.lists(st.floats(-(2.0**50), 2.0**50, width=32), min_size=6, max_size=6),
+    flow=st.lists(st.floats(-(2.0**50), 2.0**50, width=32), min_size=6, max_size=6),
     fullness=LEVELS,
 )
 def test_the_limits_hold_for_the_power_of_any_wrench_and_twist(dtype, effort, flow, fullness):

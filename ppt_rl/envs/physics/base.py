@@ -78,6 +78,6 @@ def substeps_per_control_step(control_dt: float, physics_dt: float) -> int:
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
         raise ValueError(
             f"control_dt={control_dt} s is {ratio:.6g} times physics_dt={physics_dt} s; expected a whole number. "
-            f"Take for instance physics_dt={control_dt / max(1, round(ratio)):.6g}."
+            f"Take for instance physics_dt={control_dt / max(1, round(ratio)):.12g}."
         )
     return round(ratio)

@@ -1,0 +1,86 @@
+"""Environments, chains and episodes that several test files build."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import Compose, EnvBase, TransformedEnv
+
+from ppt_rl.envs import PandaEnv, PandaPushEnv
+from ppt_rl.modules.impedance import CartesianImpedanceController
+from ppt_rl.modules.kinematics import PandaKinematics
+from ppt_rl.modules.panda import TORQUE_LIMITS
+from ppt_rl.transforms.impedance import ImpedanceTransform
+from ppt_rl.transforms.joint_torque import JointTorqueTransform
+
+#: Mid-air, in front of the arm, tool down.
+MID_AIR = (0.45, 0.0, 0.35, 0.0, 1.0, 0.0, 0.0)
+
+
+class MidAirEnv(PandaEnv):
+    """Starts where there is room to move in every direction."""
+
+    start_pose = MID_AIR
+
+
+def from_joint_positions(start: Tensor) -> type[PandaEnv]:
+    """A class of environments that start at given joint positions, ``(num_envs, 7)``."""
+
+    class Env(PandaEnv):
+        def _begin(self, rows: np.ndarray) -> np.ndarray:
+            return start[torch.from_numpy(rows)].numpy()
+
+    return Env
+
+
+def impedance_chain(
+    env: PandaEnv, controller: CartesianImpedanceController | None = None, *between: Any, **posture: float
+) -> EnvBase:
+    """The environment with a reference of pose and twist as its action; ``between`` acts on the wrench."""
+    controller = CartesianImpedanceController() if controller is None else controller
+    joints = JointTorqueTransform(PandaKinematics(env.tool_length), **posture)
+    return TransformedEnv(env, Compose(joints, *between, ImpedanceTransform(controller)))
+
+
+def torques(env: PandaEnv, steps: int, seed: int = 0, scale: float = 0.05) -> Tensor:
+    """Random torques ``(num_envs, steps, 7)``, uniform within ``scale`` times the limits."""
+    unit = 2 * torch.rand(env.num_envs, steps, 7, generator=torch.Generator().manual_seed(seed), dtype=env.dtype) - 1
+    return scale * unit * torch.tensor(TORQUE_LIMITS, dtype=env.dtype)
+
+
+def act(env: EnvBase, observation: TensorDictBase, action: Tensor | None = None) -> TensorDictBase:
+    """What the environment returns after one step; without an action, of zero torque."""
+    root = observation.exclude("reward")
+    return env.step(root.set("action", env.action_spec.zero() if action is None else action))["next"]
+
+
+def rollout(env: PandaEnv, actions: Tensor) -> TensorDictBase:
+    """The rollout of given actions from a reset, through every end of an episode."""
+    steps = iter(actions.unbind(1))
+    policy = lambda td: td.set("action", next(steps))  # noqa: E731
+    return env.rollout(actions.shape[1], policy, break_when_any_done=False)
+
+
+def leaves(td: TensorDictBase) -> dict[str, Tensor]:
+    """The tensors of a tensordict by name."""
+    return {"/".join(k) if isinstance(k, tuple) else k: v for k, v in td.items(True, True)}
+
+
+def put_box(env: PandaPushEnv, row: int, position: Any, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> None:
+    """Move the box of one environment, at rest, without its knowledge."""
+    state = env.engine._state[row]  # time, 7 joints and the box's pose, then velocities
+    state[8:15] = [*position, *quat]
+    state[22:28] = 0.0
+
+
+def forwarded(model: Any, state: np.ndarray) -> Any:
+    """MuJoCo data of a full physics state, with everything that follows from it."""
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    mujoco.mj_forward(model, data)
+    return data

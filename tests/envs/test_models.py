@@ -1,0 +1,243 @@
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from dm_control import mjcf
+
+from ppt_rl.envs import PandaEnv, PandaPushEnv, PushRandomisation
+from ppt_rl.envs.models import PADDLE, panda_model, push_scene, remove_visual_geoms, table_scene
+from ppt_rl.modules.panda import HOME, INERTIAL, JOINT_LIMITS, TORQUE_LIMITS
+from tests.envs.scenes import forwarded
+
+NOMINAL_MASS = {0.06: 0.050, 0.08: 0.080}
+
+
+def compiled(root):
+    return mjcf.Physics.from_mjcf_model(root).model.ptr
+
+
+@pytest.fixture(scope="module")
+def physics_model():
+    """The model that the pushing environment steps."""
+    return PandaPushEnv(1, seed=0).engine.models[0]
+
+
+# -- the arm -----------------------------------------------------------------------------------------------------------
+
+
+def test_joint_ranges_and_torque_limits_are_those_of_the_table(physics_model):
+    for i in range(7):
+        joint, motor = physics_model.joint(f"joint{i + 1}"), physics_model.actuator(f"motor{i + 1}")
+        assert joint.range.tolist() == list(JOINT_LIMITS[i])
+        assert joint.limited[0]
+        assert motor.ctrlrange.tolist() == [-TORQUE_LIMITS[i], TORQUE_LIMITS[i]]
+        assert motor.ctrllimited[0]
+        assert motor.trnid[0] == joint.id
+        assert motor.gear.tolist() == [1, 0, 0, 0, 0, 0]
+
+
+def test_masses_centres_and_inertias_of_the_links_are_those_of_the_table(physics_model):
+    for i, link in enumerate(INERTIAL, start=1):
+        body = physics_model.body(f"link{i}")
+        assert body.mass[0] == link.mass
+        np.testing.assert_allclose(body.ipos, link.com, rtol=0, atol=1e-12)
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, body.iquat)
+        turn = turn.reshape(3, 3)
+        xx, yy, zz, xy, xz, yz = link.inertia
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        np.testing.assert_allclose(turn @ np.diag(body.inertia) @ turn.T, inertia, rtol=0, atol=1e-9)
+
+
+def test_no_joint_has_damping_or_dry_friction(physics_model):
+    assert (physics_model.dof_damping == 0).all()
+    assert (physics_model.dof_frictionloss == 0).all()
+
+
+def test_gravity_is_compensated_on_arm_and_tool_but_not_on_the_box(physics_model):
+    for name in (*(f"link{i}" for i in range(8)), "tool"):
+        assert physics_model.body_gravcomp[physics_model.body(name).id] == 1
+    assert physics_model.body_gravcomp[physics_model.body("box").id] == 0
+    assert physics_model.opt.gravity.tolist() == [0, 0, -9.81]
+
+
+def test_the_end_effector_point_lies_in_the_centre_of_the_bar_a_tool_length_beyond_the_flange(physics_model):
+    data = mujoco.MjData(physics_model)
+    data.qpos[:7] = HOME
+    mujoco.mj_forward(physics_model, data)
+    np.testing.assert_allclose(data.site("end_effector").xpos, data.geom("bar").xpos, rtol=0, atol=1e-12)
+    flange = data.body("tool").xpos
+    axis = data.body("link7").xmat.reshape(3, 3)[:, 2]
+    np.testing.assert_allclose(data.site("end_effector").xpos, flange + PADDLE.length * axis, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(axis, [0, 0, -1], rtol=0, atol=1e-9)
+
+
+def test_the_paddle_is_a_bar_of_12_by_1_by_1_centimetres(physics_model):
+    assert (2 * physics_model.geom("bar").size).tolist() == pytest.approx([0.01, 0.12, 0.01])
+
+
+# -- the scene ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scene", [panda_model, table_scene, push_scene])
+def test_no_scene_needs_a_mesh_or_a_file(scene):
+    root = scene()
+    model = compiled(root)
+    assert (model.nmesh, model.nhfield) == (0, 0)
+    assert root.get_assets() == {}
+    assert "file=" not in root.to_xml_string()
+
+
+@pytest.mark.parametrize("env_class", [PandaEnv, PandaPushEnv])
+def test_every_geom_that_is_stepped_can_collide(env_class):
+    model = env_class(1, seed=0).engine.models[0]
+    assert ((model.geom_contype != 0) | (model.geom_conaffinity != 0)).all()
+
+
+def test_dropping_the_looks_changes_no_mass_and_no_contact_geometry():
+    looks, bare = push_scene(), push_scene()
+    remove_visual_geoms(bare)
+    full, stepped = compiled(looks), compiled(bare)
+    assert stepped.ngeom < full.ngeom
+    moving = stepped.body_weldid != 0
+    assert moving.sum() == 9  # seven links, the tool on the last of them, the box
+    np.testing.assert_array_equal(stepped.body_mass[moving], full.body_mass[moving])
+    np.testing.assert_array_equal(stepped.body_inertia[moving], full.body_inertia[moving])
+    for i in range(stepped.ngeom):
+        name = stepped.geom(i).name
+        np.testing.assert_array_equal(stepped.geom(name).size, full.geom(name).size)
+
+
+def test_the_box_collides_with_tool_and_table(physics_model):
+    def collide(a, b):
+        a, b = physics_model.geom(a), physics_model.geom(b)
+        return bool(a.contype[0] & b.conaffinity[0] or b.contype[0] & a.conaffinity[0])
+
+    assert all(collide("box", other) for other in ("bar", "stem", "table"))
+
+
+# -- randomisation -----------------------------------------------------------------------------------------------------
+
+
+def test_what_is_drawn_for_a_box_lies_in_its_range_and_is_written_to_its_own_model():
+    env = PandaPushEnv(128, seed=0)
+    observation = env.reset()
+    ranges = PushRandomisation()
+    frictions, factors = [], []
+    for row, model in enumerate(env.engine.models):
+        geom, body = model.geom("box"), model.body("box")
+        edge = round(2 * float(geom.size[0]), 6)
+        frictions.append(geom.friction[0])
+        factors.append(body.mass[0] / NOMINAL_MASS[edge])
+        assert geom.size.tolist() == [geom.size[0]] * 3
+        assert float(observation["box_size"][row, 0]) == pytest.approx(edge)
+        np.testing.assert_allclose(body.inertia, body.mass[0] * edge**2 / 6, rtol=1e-12)
+        np.testing.assert_allclose(model.body("goal").pos[:2], observation["goal"][row].numpy(), rtol=1e-6)
+    for drawn, (low, high) in ((frictions, ranges.friction), (factors, ranges.mass)):
+        assert low <= min(drawn) < low + 0.1 * (high - low)
+        assert high >= max(drawn) > high - 0.1 * (high - low)
+        assert len(set(drawn)) == 128
+    assert sorted(observation["box_size"].unique().tolist()) == pytest.approx([0.06, 0.08])
+
+
+def test_what_is_drawn_for_the_start_and_the_goal_lies_in_its_range_and_fills_it():
+    observation = PandaPushEnv(128, seed=1).reset()
+    ranges = PushRandomisation()
+    yaw = 2 * np.arctan2(observation["box_pose"][:, 6], observation["box_pose"][:, 3])
+    drawn = {
+        "box_x": observation["box_pose"][:, 0],
+        "box_y": observation["box_pose"][:, 1],
+        "box_yaw": yaw,
+        "goal_x": observation["goal"][:, 0],
+        "goal_y": observation["goal"][:, 1],
+        "tool_x": observation["pose"][:, 0],
+        "tool_y": observation["pose"][:, 1],
+    }
+    for name, values in drawn.items():
+        low, high = getattr(ranges, name)
+        assert low - 1e-4 <= float(values.min()) < low + 0.1 * (high - low), name
+        assert high + 1e-4 >= float(values.max()) > high - 0.1 * (high - low), name
+
+
+def test_a_seed_reproduces_the_models_of_every_later_episode():
+    def drawn(env):
+        env.reset()
+        names = ("geom_size", "geom_friction", "body_mass", "body_inertia", "body_pos", "dof_M0", "geom_rbound")
+        return [np.concatenate([getattr(m, name).ravel() for name in names]) for m in env.engine.models]
+
+    first, second = PandaPushEnv(6, seed=4), PandaPushEnv(6, seed=4)
+    episodes = [(drawn(first), drawn(second)) for _ in range(3)]
+    for a, b in episodes:
+        np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(episodes[0][0], episodes[1][0])
+
+
+def test_randomising_the_box_leaves_the_arm_and_its_tool_as_they_are():
+    env = PandaPushEnv(2, seed=0)
+    arm = [*range(1, 1 + env.engine.models[0].body("tool").id)]
+    before = [(m.body_mass[arm].copy(), m.body_inertia[arm].copy(), m.body_pos[arm].copy()) for m in env.engine.models]
+    box = [m.body("box").mass[0] for m in env.engine.models]
+    env.reset()
+    for model, kept, mass in zip(env.engine.models, before, box, strict=True):
+        assert model.body("box").mass[0] != mass
+        for now, then in zip((model.body_mass, model.body_inertia, model.body_pos), kept, strict=True):
+            np.testing.assert_array_equal(now[arm], then)
+
+
+# -- the box on the table ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("edge", [0.06, 0.08])
+def test_a_box_on_the_table_settles_by_a_tenth_of_a_millimetre_and_then_stays_within_a_micrometre(edge):
+    env = PandaPushEnv(4, box_sizes=(edge,), duration=2.0, seed=0)
+    env.reset()
+    start = np.array([env.engine.state(row)[8:15] for row in range(4)])
+    path = []
+    for _ in range(130):
+        env.engine.step(np.zeros((4, 7)))
+        path.append([env.engine.state(row)[8:15] for row in range(4)])
+    # The episode starts with the box just touching; the soft contact carries its weight 0.108 mm deeper.
+    moved = np.array(path) - start
+    assert -0.11e-3 < moved[..., 2].min() < -0.1e-3
+    assert np.abs(moved[..., [0, 1, 3, 4, 5, 6]]).max() < 1e-9
+    assert np.abs(moved[30:] - moved[30]).max() < 1e-6
+
+
+@pytest.mark.parametrize("degrees", [0, 30, 75])
+@pytest.mark.parametrize("friction", [0.2, 0.6])
+def test_a_sliding_box_stops_on_a_straight_line_after_the_distance_of_coulomb_friction(degrees, friction):
+    model = compiled(push_scene())
+    model.geom("box").friction[0] = friction
+    data = mujoco.MjData(model)
+    data.qpos[:7] = HOME
+    data.qpos[7:10] = [0.5, 0.0, 0.03]
+    mujoco.mj_forward(model, data)
+    for _ in range(200):  # settle
+        mujoco.mj_step(model, data)
+    heading, speed = math.radians(degrees), 0.5
+    data.qvel[7:9] = speed * np.array([math.cos(heading), math.sin(heading)])
+    start, path = data.qpos[7:9].copy(), []
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+        path.append(data.qpos[7:9] - start)
+        if np.abs(data.qvel[7:9]).max() < 1e-3:
+            break
+    path = np.array(path)
+    length = np.linalg.norm(path, axis=-1)
+    assert len(path) < 2000
+    off = np.arctan2(path[:, 1], path[:, 0]) - heading
+    assert np.degrees(np.abs(off[length > 1e-3])).max() < 2
+    assert length[-1] == pytest.approx(speed**2 / (2 * friction * 9.81), rel=0.05)
+
+
+def test_the_inspection_model_has_the_box_of_the_environment():
+    env = PandaPushEnv(2, seed=0)
+    env.reset()
+    for row in (1, 0):
+        shown, stepped = env.physics(row).model.ptr, env.engine.models[row]
+        for name in ("size", "friction"):
+            np.testing.assert_array_equal(getattr(shown.geom("box"), name), getattr(stepped.geom("box"), name))
+        assert shown.body("box").mass[0] == stepped.body("box").mass[0]
+        goal = forwarded(shown, env.engine.state(row)).body("goal").xpos
+        np.testing.assert_array_equal(goal, stepped.body("goal").pos)

@@ -1,0 +1,129 @@
+import mujoco
+import numpy as np
+import pytest
+from dm_control import mjcf
+
+from ppt_rl.envs.models import push_scene
+from ppt_rl.envs.physics import ThreadedPhysics, substeps_per_control_step
+from ppt_rl.modules.panda import HOME, TORQUE_LIMITS
+
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+SUBSTEPS = 20
+
+
+def make_engine(num_envs=4, num_threads=2):
+    """An engine of pushing scenes, the tool 1 cm in front of the box, each box of its own mass."""
+    model = mjcf.Physics.from_mjcf_model(push_scene()).model.ptr
+    engine = ThreadedPhysics(model, num_envs, SUBSTEPS, num_threads)
+    for row, each in enumerate(engine.models):
+        each.body("box").mass[:] = 0.05 * (1 + row)
+    position = np.tile([*HOME, 0.45, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0], (num_envs, 1))
+    # The tool's point at home lies in the air: a tall box under it would not be reached, so let the box fall.
+    position[:, 9] += 0.0005 * np.arange(num_envs)
+    engine.reset(np.arange(num_envs), position)
+    return engine
+
+
+def controls(num_envs, steps, seed=0):
+    """Random torques, ``(steps, num_envs, 7)``."""
+    return np.random.default_rng(seed).uniform(-0.1, 0.1, (steps, num_envs, 7)) * np.asarray(TORQUE_LIMITS)
+
+
+def plain_control_step(model, state, control):
+    """What MuJoCo alone makes of a control step: next state, and the sensors of every substep."""
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, state, STATE)
+    data.qacc_warmstart[:] = 0.0
+    data.ctrl[:] = control
+    sensors = []
+    for _ in range(SUBSTEPS):
+        mujoco.mj_step(model, data)
+        sensors.append(data.sensordata.copy())
+    after = np.empty_like(state)
+    mujoco.mj_getState(model, data, after, STATE)
+    return after, np.asarray(sensors)
+
+
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_the_engine_does_what_a_plain_loop_of_physics_steps_does(num_threads):
+    engine = make_engine(num_threads=num_threads)
+    states = [engine.state(row) for row in range(4)]
+    for control in controls(4, 6):
+        step = engine.step(control)
+        for row in range(4):
+            states[row], sensors = plain_control_step(engine.models[row], states[row], control[row])
+            np.testing.assert_allclose(step.sensors[row], sensors, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(engine.state(row), states[row], rtol=0, atol=1e-12)
+    assert not step.diverged.any()
+
+
+def test_a_step_of_some_rows_in_any_order_does_to_them_what_a_full_step_does():
+    full, some = make_engine(), make_engine()
+    (control,) = controls(4, 1)
+    before = some.state(1)
+    expected = full.step(control).sensors.copy()
+    rows = np.array([3, 0, 2])
+    np.testing.assert_array_equal(some.step(control[rows], rows).sensors, expected[rows])
+    for row in rows:
+        np.testing.assert_array_equal(some.state(row), full.state(row))
+    np.testing.assert_array_equal(some.state(1), before)
+
+
+def test_a_reset_gives_the_sensor_readings_of_the_state_it_makes():
+    engine = make_engine()
+    engine.step(controls(4, 1)[0])
+    position = np.array([[*HOME, 0.5, 0.1, 0.03, 1.0, 0.0, 0.0, 0.0]])
+    sensors = engine.reset(np.array([2]), position)
+    data = mujoco.MjData(engine.models[2])
+    mujoco.mj_setState(engine.models[2], data, engine.state(2), STATE)
+    mujoco.mj_forward(engine.models[2], data)
+    np.testing.assert_array_equal(data.qpos, position[0])
+    assert not data.qvel.any()
+    np.testing.assert_allclose(sensors[0], data.sensordata, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("warm", [0, 2])
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e12])
+def test_a_row_that_blows_up_is_flagged_and_keeps_the_state_it_had(warm, value):
+    engine = make_engine()
+    for control in controls(4, warm):
+        engine.step(control)
+    engine._state[2, 17] = value
+    before = engine.state(2)
+    step = engine.step(np.zeros((4, 7)))
+    assert step.diverged.tolist() == [False, False, True, False]
+    np.testing.assert_array_equal(engine.state(2), before)
+
+
+def test_a_row_that_blows_up_leaves_no_trace_in_the_others():
+    engine, reference = make_engine(num_threads=1), make_engine(num_threads=1)
+    engine._state[0, 17] = np.nan
+    for control in controls(4, 3):
+        a, b = engine.step(control), reference.step(control)
+        np.testing.assert_array_equal(a.sensors[1:], b.sensors[1:])
+        assert a.diverged.tolist() == [True, False, False, False]
+
+
+def test_the_state_handed_out_is_a_copy():
+    engine = make_engine()
+    engine.state(0)[:] = 0.0
+    assert engine.state(0)[1:8].any()
+
+
+@pytest.mark.parametrize(("control_dt", "physics_dt", "substeps"), [(0.01, 0.0005, 20), (0.01, 0.01, 1), (0.3, 0.1, 3)])
+def test_the_substeps_are_the_whole_ratio_of_the_time_steps(control_dt, physics_dt, substeps):
+    assert substeps_per_control_step(control_dt, physics_dt) == substeps
+
+
+@pytest.mark.parametrize(("control_dt", "physics_dt"), [(0.01, 0.003), (0.01, 0.02), (0.0101, 0.0005)])
+def test_a_time_step_that_does_not_divide_is_refused_with_one_that_does(control_dt, physics_dt):
+    with pytest.raises(ValueError, match=r"expected a whole number\. Take for instance physics_dt=") as error:
+        substeps_per_control_step(control_dt, physics_dt)
+    proposed = float(str(error.value).rsplit("=", 1)[1].rstrip("."))
+    assert substeps_per_control_step(control_dt, proposed) >= 1
+
+
+@pytest.mark.parametrize(("control_dt", "physics_dt"), [(0.01, 0.0), (0.01, -0.0005), (-0.01, 0.0005), (0.0, 0.0005)])
+def test_a_time_step_that_is_not_positive_is_refused(control_dt, physics_dt):
+    with pytest.raises(ValueError, match="expected both above 0"):
+        substeps_per_control_step(control_dt, physics_dt)

@@ -1,0 +1,334 @@
+import math
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+from ppt_rl.functional.promp import Gaussian, basis, unvec, vec
+from ppt_rl.modules import ProMP
+from tests.sampling import normal
+
+F64 = torch.float64
+K, D, M, DURATION = 6, 3, 4, 2.5
+SIZE = K * D
+TIGHT = {"rtol": 0.0, "atol": 1e-12}
+
+
+def random_cov(*batch: int, size: int, scale: float = 1.0, seed: int = 0) -> Tensor:
+    root = normal(*batch, size, size, seed=seed)
+    return scale * (root @ root.mT / size + 0.1 * torch.eye(size, dtype=F64))
+
+
+@pytest.fixture
+def promp() -> ProMP:
+    module = ProMP(K, D, DURATION).double()
+    module.weights_mean.copy_(normal(K, D, seed=1))
+    module.weights_cov.copy_(random_cov(size=SIZE, seed=2))
+    return module
+
+
+def via_points(*batch: int, seed: int = 0) -> dict[str, Tensor]:
+    """M via-points with positions and velocities of their own covariance."""
+    phase = torch.rand(*batch, M, generator=torch.Generator().manual_seed(seed), dtype=F64)
+    return {
+        "via_phase": phase,
+        "via_position": normal(*batch, M, D, seed=seed + 1),
+        "via_cov": random_cov(*batch, M, size=D, scale=0.01, seed=seed + 2),
+        "via_velocity": normal(*batch, M, D, seed=seed + 3),
+        "via_velocity_cov": random_cov(*batch, M, size=D, scale=0.1, seed=seed + 4),
+    }
+
+
+def information_form(
+    promp: ProMP, via: dict[str, Tensor], use: list[int], use_velocity: list[int], prior: Gaussian | None = None
+) -> Gaussian:
+    """The posterior by adding up information, one via-point after the other."""
+    mean, cov = promp.prior if prior is None else prior
+    precision = torch.linalg.inv(cov)
+    right = precision @ mean
+    value, first, _ = promp.basis(via["via_phase"])
+    eye = torch.eye(D, dtype=F64)
+    terms = [(value[m], via["via_position"][m], via["via_cov"][m]) for m in use]
+    terms += [(first[m] / DURATION, via["via_velocity"][m], via["via_velocity_cov"][m]) for m in use_velocity]
+    for row, y, noise in terms:
+        h = torch.kron(eye, row.unsqueeze(0))
+        precision = precision + h.mT @ torch.linalg.solve(noise, h)
+        right = right + h.mT @ torch.linalg.solve(noise, y)
+    return Gaussian(torch.linalg.solve(precision, right), torch.linalg.inv(precision))
+
+
+def positions_only(via: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {key: value for key, value in via.items() if "velocity" not in key}
+
+
+def test_decoded_velocity_and_acceleration_are_the_time_derivatives(promp):
+    weights, phase = normal(5, K, D), torch.linspace(0, 1, 21, dtype=F64)
+    h = 1e-4  # [s]
+    before, at, after = (promp.decode(weights, phase + shift / DURATION) for shift in (-h, 0.0, h))
+    assert_close(at[1], (after[0] - before[0]) / (2 * h), rtol=0.0, atol=1e-5)
+    assert_close(at[2], (after[1] - before[1]) / (2 * h), rtol=0.0, atol=1e-4)
+
+
+def test_constant_weights_give_a_trajectory_at_rest(promp):
+    position, velocity, acceleration = promp.decode(torch.full((K, D), 0.7).double(), torch.rand(9, dtype=F64))
+    assert_close(position, torch.full((9, D), 0.7).double(), rtol=0.0, atol=1e-7)
+    assert_close(velocity, torch.zeros(9, D, dtype=F64), **TIGHT)
+    assert_close(acceleration, torch.zeros(9, D, dtype=F64), rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("batch", [(), (4,), (2, 4)])
+def test_decoding_a_batch_with_own_phases_equals_single_calls(promp, batch):
+    weights, phase = normal(*batch, K, D), torch.rand(*batch, 7, dtype=F64)
+    parts = promp.decode(weights, phase)
+    rows = [promp.decode(w, p) for w, p in zip(weights.reshape(-1, K, D), phase.reshape(-1, 7), strict=True)]
+    for part, *singles in zip(parts, *rows, strict=True):
+        assert part.shape == (*batch, 7, D)
+        assert_close(part.reshape(-1, 7, D), torch.stack(singles))
+
+
+def test_the_basis_is_the_law_at_the_modules_centres_and_widths():
+    centres, widths = torch.tensor([0.0, 0.3, 1.0]), torch.tensor([0.1, 0.2, 0.3])
+    phase = torch.rand(5)
+    promp = ProMP(3, 1, 1.0, centres=centres, widths=widths)
+    assert_close(promp.basis(phase), basis(phase, centres, widths))
+
+
+def test_the_prior_is_standard_normal_before_it_is_fitted():
+    mean, cov = ProMP(K, D, DURATION).prior
+    assert torch.equal(mean, torch.zeros(SIZE))
+    assert torch.equal(cov, torch.eye(SIZE))
+
+
+def test_the_posterior_under_positions_equals_the_information_form(promp):
+    via = via_points()
+    expected = information_form(promp, via, use=[0, 1, 2, 3], use_velocity=[])
+    assert_close(promp.posterior(**positions_only(via)), expected, rtol=0.0, atol=1e-6)
+
+
+def test_the_posterior_under_positions_and_velocities_equals_the_information_form(promp):
+    via = via_points()
+    expected = information_form(promp, via, use=[0, 1, 2, 3], use_velocity=[0, 1, 2, 3])
+    assert_close(promp.posterior(**via), expected, rtol=0.0, atol=1e-6)
+
+
+def test_positions_and_velocities_are_masked_apart(promp):
+    via = via_points()
+    mask, velocity_mask = torch.tensor([True, False, True, False]), torch.tensor([False, True, True, False])
+    expected = information_form(promp, via, use=[0, 2], use_velocity=[1, 2])
+    posterior = promp.posterior(**via, via_mask=mask, via_velocity_mask=velocity_mask)
+    assert_close(posterior, expected, rtol=0.0, atol=1e-6)
+
+
+def test_velocities_take_the_mask_of_the_positions_by_default(promp):
+    via, mask = via_points(), torch.tensor([True, False, True, False])
+    explicit = promp.posterior(**via, via_mask=mask, via_velocity_mask=mask)
+    assert_close(promp.posterior(**via, via_mask=mask), explicit, rtol=0.0, atol=0.0)
+
+
+def test_a_masked_batch_equals_unmasked_single_solves(promp):
+    via = via_points(8)
+    mask = torch.tensor([[bool(i >> m & 1) for m in range(M)] for i in (1, 2, 3, 5, 7, 8, 14, 15)])
+    batched = promp.posterior(**via, via_mask=mask)
+    for i, keep in enumerate(mask):
+        single = promp.posterior(**{key: value[i][keep] for key, value in via.items()})
+        assert_close(Gaussian(batched.mean[i], batched.cov[i]), single, rtol=0.0, atol=1e-9)
+
+
+def test_the_order_of_via_points_is_irrelevant(promp):
+    via, order = via_points(5), torch.tensor([2, 0, 3, 1])
+    shuffled = {key: value[:, order] for key, value in via.items()}
+    assert_close(promp.posterior(**shuffled), promp.posterior(**via), rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_when_all_via_points_are_masked_the_posterior_is_exactly_the_prior(promp, dtype):
+    via, mask = via_points(3), torch.zeros(3, M, dtype=torch.bool)
+    module = promp.to(dtype)
+    mean, cov = module.posterior(**via, via_mask=mask)
+    assert torch.equal(mean, module.prior.mean.expand(3, SIZE))
+    assert torch.equal(cov, module.prior.cov.expand(3, SIZE, SIZE))
+
+
+@pytest.mark.parametrize("variance", [0.0, 1e-10])
+def test_via_points_with_a_tiny_covariance_are_passed_through(promp, variance):
+    via = via_points(3)
+    via["via_phase"] = torch.tensor([0.1, 0.35, 0.7, 0.95], dtype=F64).expand(3, M)
+    via["via_cov"] = variance * torch.eye(D, dtype=F64).expand(3, M, D, D)
+    mean, cov = promp.posterior(**positions_only(via))
+    position, _, _ = promp.decode(unvec(mean, K), via["via_phase"])
+    assert_close(position, via["via_position"], rtol=0.0, atol=1e-6)
+    assert bool((cov.diagonal(dim1=-2, dim2=-1) < promp.prior.cov.diagonal()).all())
+
+
+def test_position_and_velocity_of_one_exact_via_point_are_both_met(promp):
+    via = {key: value[:1] for key, value in via_points().items()}
+    via["via_cov"], via["via_velocity_cov"] = (torch.zeros(1, D, D, dtype=F64) for _ in range(2))
+    position, velocity, _ = promp.decode(unvec(promp.posterior(**via).mean, K), via["via_phase"])
+    assert_close(position, via["via_position"], rtol=0.0, atol=1e-8)
+    assert_close(velocity, via["via_velocity"], rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("variance", [0.0, 1e-8, 1e-2])
+def test_the_posterior_covariance_is_symmetric_psd_and_no_larger_than_the_prior(promp, variance):
+    via = via_points(5)
+    via["via_cov"] = variance * torch.eye(D, dtype=F64).expand(5, M, D, D)
+    cov = promp.posterior(**via).cov
+    assert_close(cov, cov.mT, rtol=0.0, atol=1e-9)
+    assert torch.linalg.eigvalsh(cov).min().item() > -1e-9
+    assert torch.linalg.eigvalsh(promp.prior.cov - cov).min().item() > -1e-9
+
+
+def test_a_prior_handed_in_takes_the_place_of_the_own_one_row_by_row(promp):
+    via = via_points()
+    prior = Gaussian(normal(3, SIZE, seed=8), random_cov(3, size=SIZE, seed=9))
+    posterior = promp.posterior(**via, prior=prior)
+    for i in range(3):
+        expected = information_form(promp, via, [0, 1, 2, 3], [0, 1, 2, 3], Gaussian(prior.mean[i], prior.cov[i]))
+        assert_close(Gaussian(posterior.mean[i], posterior.cov[i]), expected, rtol=0.0, atol=1e-6)
+
+
+def test_single_precision_is_close_to_double(promp):
+    via = via_points(5)
+    double = promp.posterior(**via)
+    single = promp.float().posterior(**{key: value.float() for key, value in via.items()})
+    assert single.mean.dtype == torch.float32
+    assert_close(single.mean.double(), double.mean, rtol=0.0, atol=1e-3)
+
+
+FIELDS = ["via_phase", "via_position", "via_cov", "via_velocity", "via_velocity_cov"]
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_bad_number_in_a_used_via_point_raises(promp, field, bad):
+    via = via_points(2)
+    via[field][1, 2] = bad
+    with pytest.raises(ValueError, match="NaN or infinite"):
+        promp.posterior(**via)
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_a_bad_number_in_a_masked_via_point_has_no_effect(promp, field, bad):
+    via, mask = via_points(2), torch.ones(2, M, dtype=torch.bool)
+    mask[1, 2] = False
+    expected = promp.posterior(**via, via_mask=mask)
+    via[field][1, 2] = bad
+    assert_close(promp.posterior(**via, via_mask=mask), expected, rtol=0.0, atol=0.0)
+
+
+def test_no_via_point_slot_at_all_is_refused(promp):
+    via = {key: value[:, :0] for key, value in via_points(2).items()}
+    with pytest.raises(ValueError, match=r"via-points are empty \(M = 0\)"):
+        promp.posterior(**via)
+
+
+def test_via_points_of_a_wrong_shape_are_refused(promp):
+    via = positions_only(via_points(2))
+    for key, wrong in (("via_position", via["via_position"][..., :2]), ("via_cov", via["via_cov"][:, :2])):
+        with pytest.raises(ValueError, match=r"expected .* and \("):
+            promp.posterior(**{**via, key: wrong})
+
+
+def test_a_velocity_without_its_covariance_is_refused(promp):
+    via = via_points(2)
+    del via["via_velocity_cov"]
+    with pytest.raises(ValueError, match="via_velocity came without via_velocity_cov"):
+        promp.posterior(**via)
+
+
+def test_samples_have_the_mean_and_covariance_of_the_prior(promp):
+    num = 20_000
+    weights = promp.sample(num, torch.Generator().manual_seed(0))
+    assert weights.shape == (num, K, D)
+    drawn, (mean, cov) = vec(weights), promp.prior
+    variance = cov.diagonal()
+    # Five standard errors of the moments of normal samples.
+    assert bool(((drawn.mean(0) - mean).abs() <= 5 * (variance / num).sqrt()).all())
+    spread = ((variance[:, None] * variance + cov.square()) / num).sqrt()
+    assert bool(((torch.cov(drawn.mT) - cov).abs() <= 5 * spread).all())
+
+
+def test_samples_repeat_with_the_generators_seed(promp):
+    first, second, other = (promp.sample(5, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1))
+    assert torch.equal(first, second)
+    assert not torch.equal(first, other)
+
+
+def fitted_to_samples(promp: ProMP, lengths: list[int], noise: float) -> ProMP:
+    """A ProMP fitted to noisy trajectories that were drawn from another one's prior."""
+    generator = torch.Generator().manual_seed(0)
+    series: list[Tensor] = []
+    for length in sorted(set(lengths)):
+        weights = promp.sample(lengths.count(length), generator)
+        position, _, _ = promp.decode(weights, torch.linspace(0, 1, length, dtype=F64))
+        series.extend(position + noise * torch.randn(position.shape, generator=generator, dtype=F64))
+    return ProMP(K, D, DURATION).double().fit(series, ridge=1e-9)
+
+
+@pytest.mark.parametrize("lengths", [[60] * 500, [40, 50, 55, 60, 70] * 100], ids=["equal", "differing"])
+def test_fitting_recovers_the_prior_that_the_demonstrations_were_drawn_from(promp, lengths):
+    fitted, (mean, cov) = fitted_to_samples(promp, lengths, noise=0.005).prior, promp.prior
+    # Five standard errors of the moments of 500 normal samples; noise of 0.005 over 40 samples adds far less.
+    variance = cov.diagonal()
+    assert bool(((fitted.mean - mean).abs() <= 5 * (variance / 500).sqrt()).all())
+    spread = ((variance[:, None] * variance + cov.square()) / 500).sqrt()
+    assert bool(((fitted.cov - cov).abs() <= 5 * spread).all())
+
+
+def test_a_stacked_tensor_and_a_list_of_demonstrations_fit_alike():
+    data = normal(10, 30, D)
+    stacked, listed = ProMP(K, D, DURATION).fit(data), ProMP(K, D, DURATION).fit(list(data))
+    assert_close(stacked.state_dict(), listed.state_dict(), rtol=0.0, atol=0.0)
+
+
+def test_the_fitted_covariance_can_be_sampled_from_even_for_equal_demonstrations():
+    promp = ProMP(K, D, DURATION).fit(normal(1, 30, D).repeat(3, 1, 1))
+    assert bool(torch.isfinite(promp.sample(4)).all())
+
+
+def test_state_dict_carries_basis_and_prior_to_another_instance(promp):
+    target = ProMP(K, D, DURATION, overlap=1.3).double()
+    target.load_state_dict(promp.state_dict())
+    phase = torch.rand(5, dtype=F64)
+    assert_close(target.prior, promp.prior, rtol=0.0, atol=0.0)
+    assert_close(target.basis(phase), promp.basis(phase), rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ([torch.zeros(9, D)], "1 demonstrations; expected at least 2"),
+        ([torch.zeros(9, D), torch.zeros(9, D + 1)], "demonstration has shape"),
+        ([torch.zeros(9, D), torch.zeros(1, D)], r"expected \(T >= 2, D\)"),
+        ([torch.zeros(9, D), torch.zeros(D)], r"expected \(T >= 2, D\)"),
+        ([torch.zeros(9, D), torch.full((9, D), math.nan)], "demonstration holds 27 NaN"),
+    ],
+    ids=["one", "columns", "one sample", "flat", "nan"],
+)
+def test_demonstrations_that_cannot_be_fitted_are_refused(data, message):
+    with pytest.raises(ValueError, match=message):
+        ProMP(K, D, DURATION).fit(data)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"num_basis": 1}, "num_basis is 1"),
+        ({"num_dof": 0}, "num_dof is 0"),
+        ({"duration": 0.0}, "duration is 0.0"),
+        ({"overlap": -1.0}, "overlap is -1.0"),
+        ({"centres": torch.zeros(3)}, "expected .6,. each"),
+        ({"widths": torch.ones(7)}, "expected .6,. each"),
+    ],
+    ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",
+)
+def test_impossible_constants_are_refused(kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        ProMP(**{"num_basis": K, "num_dof": D, "duration": DURATION, **kwargs})
+
+
+def test_weights_of_a_wrong_shape_are_refused(promp):
+    with pytest.raises(ValueError, match=r"weights have shape .*; expected \(\*batch, 6, 3\)"):
+        promp.decode(torch.zeros(D, K), torch.zeros(3))

@@ -1,0 +1,93 @@
+import ast
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Packages of the library, each with those that it may import.
+ALLOWED = {
+    "functional": set(),
+    "modules": {"functional"},
+    "transforms": {"functional", "modules"},
+    "envs": {"functional", "modules"},
+    "training": {"functional", "modules", "transforms", "envs"},
+}
+FILES = sorted((ROOT / "ppt_rl").rglob("*.py"))
+
+
+def package(path):
+    """Package of the library that a file belongs to; the empty name for the library's own ``__init__``."""
+    parts = path.relative_to(ROOT / "ppt_rl").parts
+    return parts[0] if len(parts) > 1 else ""
+
+
+def imports(path):
+    """Dotted names of all that a file imports, also inside functions."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} has a relative import, which this test does not follow"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def imported_packages(path):
+    """Packages of the library that a file imports."""
+    own = [name.split(".") for name in imports(path) if name.split(".")[0] == "ppt_rl"]
+    return {parts[1] for parts in own if len(parts) > 1 and parts[1] in ALLOWED}
+
+
+def users(library):
+    """Files that import an outside library."""
+    return {str(p.relative_to(ROOT)) for p in FILES if library in {name.split(".")[0] for name in imports(p)}}
+
+
+def test_the_library_consists_of_these_packages():
+    found = {path.parent.name for path in (ROOT / "ppt_rl").glob("*/__init__.py")}
+    assert found == set(ALLOWED)
+
+
+@pytest.mark.parametrize("name", ALLOWED)
+def test_a_package_imports_only_those_below_it(name):
+    files = [path for path in FILES if package(path) == name]
+    assert files
+    for path in files:
+        assert imported_packages(path) - {name} <= ALLOWED[name], path
+
+
+def test_envs_and_transforms_do_not_import_each_other():
+    seen = {"envs": set(), "transforms": set()}
+    for path in FILES:
+        if package(path) in seen:
+            seen[package(path)] |= imported_packages(path)
+    assert "transforms" not in seen["envs"]
+    assert "envs" not in seen["transforms"]
+
+
+def test_the_library_does_not_import_what_uses_it():
+    outside = {"recipes", "benchmarks", "tests"} | {path.stem for path in (ROOT / "recipes").glob("*.py")}
+    for path in FILES:
+        assert not {name.split(".")[0] for name in imports(path)} & outside, path
+
+
+def test_no_package_imports_itself_by_way_of_another():
+    graph = {name: set() for name in ALLOWED}
+    for path in FILES:
+        if package(path):
+            graph[package(path)] |= imported_packages(path) - {package(path)}
+    order = list(TopologicalSorter(graph).static_order())  # raises on a cycle
+    assert set(order) == set(ALLOWED)
+    assert graph["training"], "the walk finds imports"
+
+
+@pytest.mark.parametrize("library", ["mujoco", "dm_control"])
+def test_the_simulator_is_imported_by_the_environments_only(library):
+    assert users(library)
+    assert all(path.startswith("ppt_rl/envs/") for path in users(library))
+
+
+def test_pytorch_kinematics_is_imported_by_the_kinematics_only():
+    assert users("pytorch_kinematics") == {"ppt_rl/modules/kinematics.py"}

@@ -1,0 +1,185 @@
+"""One case for each transform of the library, and the whole chain on the simulated arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from tensordict.utils import NestedKey
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
+
+from ppt_rl.envs import PandaPushEnv
+from ppt_rl.functional import MetricsConfig
+from ppt_rl.modules import CartesianImpedanceController, PandaKinematics, ProMP, TaskSpace
+from ppt_rl.transforms import (
+    EnergyTankTransform,
+    EpisodeMetricsTransform,
+    ImpedanceTransform,
+    JointTorqueTransform,
+    MacroStepTransform,
+    ProMPTransform,
+    ViaPointTransform,
+)
+from tests.transforms.mocks import MockArmEnv
+
+AXES = ("x", "y", "yaw")
+ORIGIN = (0.36, 0.0, 0.02, 0.0, 1.0, 0.0, 0.0)
+
+
+def make_promp(duration: float = 0.1, num_basis: int = 4) -> ProMP:
+    """A primitive over x, y and yaw with a prior that is neither zero nor diagonal."""
+    promp = ProMP(num_basis, 3, duration)
+    generator = torch.Generator().manual_seed(11)
+    size = num_basis * 3
+    factor = 0.1 * torch.randn(size, size, generator=generator)
+    promp.weights_mean.copy_(0.2 * torch.randn(num_basis, 3, generator=generator))
+    promp.weights_cov.copy_(factor @ factor.mT + 0.01 * torch.eye(size))
+    return promp
+
+
+def make_promp_transform(**kwargs: Any) -> ProMPTransform:
+    """Chunks of five references."""
+    return ProMPTransform(make_promp(), TaskSpace(AXES, ORIGIN), **{"replan_steps": 5, **kwargs})
+
+
+@dataclass(frozen=True)
+class Case:
+    """How one transform is tested.
+
+    Attributes:
+        make: the transform.
+        inner: shape of the action towards the environment.
+        outer: shape of the action from outside.
+        state: keys of its state.
+        written: keys that it adds to the observations, beyond its state.
+        forward: keys that it adds to stored data.
+        nested: arguments for a nested action, and for nested observations where the transform takes their keys.
+        prefix: nest of the observations in the nested case.
+    """
+
+    make: Callable[..., Transform]
+    inner: tuple[int, ...] = (7,)
+    outer: tuple[int, ...] = (7,)
+    state: tuple[str, ...] = ()
+    written: tuple[NestedKey, ...] = ()
+    forward: tuple[NestedKey, ...] = ()
+    nested: dict[str, Any] = field(default_factory=dict)
+    prefix: tuple[str, ...] = ("agent",)
+
+
+_ACTION = {"action_key": ("agent", "action")}
+
+CASES: dict[str, Case] = {
+    "EnergyTankTransform": Case(
+        lambda **kwargs: EnergyTankTransform(p_max=1.0, e_max=0.02, **kwargs),
+        state=("tank_energy", "valve"),
+        nested={"effort_key": ("agent", "action"), "flow_key": "joint_velocity"},
+    ),
+    "EpisodeMetricsTransform": Case(
+        EpisodeMetricsTransform,
+        state=("metrics_memory",),
+        written=tuple(
+            ("metrics", name)
+            for name in (
+                "max_power",
+                "max_power_measured",
+                "jerk_rms",
+                "wrench_p95",
+                "overload_ratio",
+                "contact_continuity",
+            )
+        ),
+        nested={"twist_key": ("agent", "twist"), "wrench_key": ("agent", "wrench")},
+    ),
+    "ImpedanceTransform": Case(
+        lambda **kwargs: ImpedanceTransform(CartesianImpedanceController(), **kwargs),
+        inner=(6,),
+        outer=(13,),
+        nested={**_ACTION, "pose_key": ("agent", "pose"), "twist_key": ("agent", "twist")},
+    ),
+    "JointTorqueTransform": Case(
+        lambda **kwargs: JointTorqueTransform(PandaKinematics(0.1), max_torque_rate=1000.0, **kwargs),
+        outer=(6,),
+        state=("power", "torque"),
+        nested=_ACTION,
+    ),
+    "MacroStepTransform": Case(
+        lambda **kwargs: MacroStepTransform(3, **{"discount": 0.9, "trace_keys": ["joint_velocity"], **kwargs}),
+        outer=(3, 7),
+        written=("control_steps", ("trace", "joint_velocity")),
+        nested=_ACTION,
+    ),
+    "ProMPTransform": Case(
+        make_promp_transform,
+        inner=(5, 13),
+        outer=(12,),
+        state=("phase", "reference_position", "reference_velocity", "weights"),
+        nested={**_ACTION, "pose_key": ("agent", "pose")},
+    ),
+    "ViaPointTransform": Case(
+        lambda **kwargs: ViaPointTransform(make_promp(), write_cov=True, **kwargs),
+        written=("weights_mean", "weights_cov"),
+        forward=("weights_mean", "weights_cov"),
+        nested={"prefix": ("agent",)},
+    ),
+}
+
+
+def make_base(name: str, batch: tuple[int, ...] = (), **kwargs: Any) -> MockArmEnv:
+    """The mock environment that a case's transform goes on."""
+    return MockArmEnv(batch, action_shape=CASES[name].inner, **{"horizons": (6, 4), **kwargs})
+
+
+def make_env(name: str, batch: tuple[int, ...] = (), **kwargs: Any) -> TransformedEnv:
+    """A case's transform on its mock environment."""
+    return TransformedEnv(make_base(name, batch, **kwargs), CASES[name].make())
+
+
+def make_nested(name: str, batch: tuple[int, ...] = ()) -> TransformedEnv:
+    """A case's transform with nested keys."""
+    case = CASES[name]
+    key = case.nested.get("action_key", case.nested.get("effort_key", "action"))
+    base = make_base(name, batch, action_key=key, prefix=case.prefix)
+    return TransformedEnv(base, case.make(**case.nested))
+
+
+def stored(name: str, batch: tuple[int, ...] = (4,), seed: int = 3) -> TensorDict:
+    """Stored data with the action as it comes from outside."""
+    base = make_base(name, batch)
+    generator = torch.Generator().manual_seed(seed)
+    td = base.reset()
+    td["action"] = 0.5 * torch.randn(*batch, *CASES[name].outer, generator=generator)
+    return td
+
+
+def push_env(num_envs: int = 2, *transforms: Transform, duration: float = 0.1, seed: int = 0, **kwargs: Any) -> EnvBase:
+    """The pushing task on one thread, with transforms."""
+    base = PandaPushEnv(num_envs, duration=duration, num_threads=1, seed=seed, **kwargs)
+    return TransformedEnv(base, Compose(*transforms)) if transforms else base
+
+
+def control_chain() -> list[Transform]:
+    """What runs at control rate."""
+    return [
+        JointTorqueTransform(PandaKinematics(PandaPushEnv.tool.length), max_torque_rate=1000.0),
+        EnergyTankTransform(),
+        ImpedanceTransform(CartesianImpedanceController()),
+        EpisodeMetricsTransform(MetricsConfig()),
+    ]
+
+
+def make_chain_env(num_envs: int = 2, replan_steps: int = 5, duration: float = 0.1, **kwargs: Any) -> TransformedEnv:
+    """Every transform of the library on the pushing task."""
+    promp = make_promp(duration)
+    return push_env(
+        num_envs,
+        *control_chain(),
+        MacroStepTransform(replan_steps, trace_keys=["power"]),
+        ProMPTransform(promp, TaskSpace(AXES, ORIGIN), replan_steps=replan_steps),
+        ViaPointTransform(promp),
+        duration=duration,
+        **kwargs,
+    )

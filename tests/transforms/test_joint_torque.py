@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from torchrl.envs import TransformedEnv
+
+from ppt_rl.envs import PandaPushEnv
+from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules.panda import TORQUE_LIMITS
+from ppt_rl.transforms import JointTorqueTransform
+from tests.transforms.cases import push_env
+from tests.transforms.mocks import MockArmEnv, actions_for, play
+
+LIMITS = torch.tensor(TORQUE_LIMITS)
+
+
+def make_env(batch=(2,), horizons=(20,), **kwargs):
+    return TransformedEnv(MockArmEnv(batch, horizons=horizons), JointTorqueTransform(PandaKinematics(0.1), **kwargs))
+
+
+def test_the_power_key_is_wrench_times_twist():
+    env = make_env()
+    steps = play(env, actions_for(env, 6, scale=10.0))
+    expected = (steps["action"] * steps["twist"]).sum(-1, keepdim=True)
+    torch.testing.assert_close(steps["next", "power"], expected)
+    assert not steps["power"][:, 0].any()
+
+
+def test_without_posture_the_torque_is_the_transposed_jacobian_times_the_wrench():
+    env = make_env(posture_stiffness=0.0, posture_damping=0.0)
+    steps = play(env, actions_for(env, 6, scale=5.0))
+    jacobian = PandaKinematics(0.1).jacobian(steps["joint_position"])
+    expected = torch.einsum("...ij,...i->...j", jacobian, steps["action"])
+    torch.testing.assert_close(steps["next", "executed"], expected)
+
+
+def test_the_posture_term_does_no_instant_work_on_the_end_effector_acceleration():
+    env = make_env()
+    steps = play(env, actions_for(env, 6, scale=5.0))
+    plain = make_env(posture_stiffness=0.0, posture_damping=0.0)
+    posture = steps["next", "executed"] - play(plain, actions_for(plain, 6, scale=5.0))["next", "executed"]
+    transform = env.transform
+    jacobian = PandaKinematics(0.1).jacobian(steps["joint_position"])
+    acceleration = torch.einsum("...ij,...j->...i", jacobian, posture / transform.joint_inertia)
+    assert posture.abs().max() > 1.0
+    scale = torch.einsum("...ij,...j->...i", jacobian.abs(), posture.abs() / transform.joint_inertia).max()
+    assert acceleration.abs().max() < 1e-2 * scale
+
+
+def test_the_torque_stays_within_the_pandas_limits_and_reaches_them():
+    env = make_env()
+    torque = play(env, actions_for(env, 6, scale=1000.0))["next", "executed"]
+    assert (torque.abs() <= LIMITS).all()
+    assert (torque.abs() == LIMITS).any()
+
+
+def test_the_torque_rate_stays_within_its_limit_from_the_first_step_of_every_episode():
+    env = make_env(horizons=(4,), max_torque_rate=300.0, dt=0.01)
+    steps = play(env, actions_for(env, 8, scale=200.0))
+    torque = steps["next", "executed"]
+    assert torch.equal(steps["next", "torque"], torque)
+    before = torch.cat([torch.zeros(2, 1, 7), torque[:, :-1]], 1)
+    before[:, 4] = 0.0  # the second episode begins
+    change = (torque - before).abs()
+    assert (change <= 3.0 + 1e-5).all()
+    assert (change > 2.999).any()
+    assert (torque.abs() <= LIMITS).all()
+
+
+def test_without_a_rate_limit_there_is_no_torque_key():
+    assert "torque" not in make_env().observation_spec.keys()
+
+
+def test_the_simulated_arm_receives_what_the_transform_gives_and_pushes_along_the_wrench():
+    env = push_env(2, JointTorqueTransform(PandaKinematics(PandaPushEnv.tool.length)), duration=0.2)
+    wrench = torch.tensor((-10.0, 0.0, 0.0, 0.0, 0.0, 0.0)).expand(10, 2, 6)
+    steps = play(env, wrench)
+    assert (steps["next", "twist"][:, -1, 0] < -0.01).all()
+    assert (steps["next", "power"][:, 2:] > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "match"),
+    [
+        ({"posture": (0.0,) * 6}, "posture has 6 numbers"),
+        ({"posture_stiffness": -1.0}, "posture_stiffness"),
+        ({"posture_damping": -1.0}, "posture_damping"),
+        ({"max_torque_rate": 0.0}, "max_torque_rate"),
+        ({"max_torque_rate": 1000.0, "dt": -0.01}, "dt"),
+    ],
+)
+def test_a_number_out_of_range_is_refused_by_name(kwargs, match):
+    with pytest.raises(ValueError, match=match):
+        JointTorqueTransform(PandaKinematics(0.1), **kwargs)
+
+
+@pytest.mark.parametrize("size", [5, 7])
+def test_a_wrench_of_another_size_than_six_is_refused(size):
+    td = MockArmEnv((2,)).reset().set("action", torch.zeros(2, size))
+    with pytest.raises(ValueError, match=r"wrench has shape .*expected \(\*batch, 6\)"):
+        JointTorqueTransform(PandaKinematics(0.1)).inv(td)
+
+
+@pytest.mark.parametrize("key", ["joint_position", "joint_velocity", "twist"])
+def test_a_missing_observation_is_named(key):
+    env = make_env()
+    td = env.reset().set("action", torch.zeros(2, 6)).exclude(key)
+    with pytest.raises(KeyError, match=f"JointTorqueTransform needs .*{key}"):
+        env.step(td)
