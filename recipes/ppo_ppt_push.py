@@ -74,7 +74,7 @@ class Config:
     damping_ratio: float = 1.0
     p_max: float = 2.0
     e_max: float = 3.0
-    initial_scale: float = 0.5
+    initial_scale: float = 0.25
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
 

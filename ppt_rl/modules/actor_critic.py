@@ -44,7 +44,7 @@ class InputNorm(nn.Module):
             floor: smallest spread; a feature that varies less is left out, as constant.
         """
         data = torch.cat(inputs, -1).flatten(0, -2)
-        std = data.std(0)
+        std = data.std(0, correction=0)
         self.loc.copy_(data.mean(0))
         self.scale.copy_(torch.where(std < floor, torch.full_like(std, torch.inf), std))
 

@@ -64,6 +64,8 @@ class ProMP(nn.Module):
             raise ValueError(
                 f"centres {tuple(centres.shape)} and widths {tuple(widths.shape)}; expected ({num_basis},) each."
             )
+        if not bool((widths > 0).all()):
+            raise ValueError(f"widths are {widths.tolist()}; expected positive numbers.")
         self.num_basis, self.num_dof = int(num_basis), int(num_dof)
         self.duration = require_positive("duration", duration, "s")
         dtype = torch.get_default_dtype()

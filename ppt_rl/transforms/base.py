@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -41,15 +42,17 @@ class StatefulTransform(Transform):
         state = input_spec["full_state_spec"]
         if state is None:
             state = Composite(shape=input_spec.shape, device=input_spec.device)
+        nests = [self.parent.full_observation_spec, self.parent.full_action_spec]
         for key, spec in self._state_specs(self.parent.batch_size, self._like()).items():
-            _set_spec(state, key, spec)
+            _set_spec(state, key, spec, nests)
         input_spec["full_state_spec"] = state
         return super().transform_input_spec(input_spec)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Declare the state as observations."""
+        nests = [self.parent.full_action_spec]
         for key, spec in self._state_specs(self.parent.batch_size, self._like()).items():
-            _set_spec(observation_spec, key, spec)
+            _set_spec(observation_spec, key, spec, nests)
         return observation_spec
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -70,6 +73,11 @@ class StatefulTransform(Transform):
         if old is not None:
             value = torch.where(expand_as_right(step.reshape(tensordict.batch_size), value), value, old)
         next_tensordict.set(key, value)
+
+    def _zeros(self, specs: dict[NestedKey, TensorSpec], like: TensorDictBase) -> dict[NestedKey, Tensor]:
+        """Zeros of specs, with the leading dimensions that a tensordict of an environment without a lock has."""
+        leading = like.shape[: like.ndim - len(self.parent.batch_size)]
+        return {key: spec.zero(leading) for key, spec in specs.items()}
 
     def _restart(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase, key: NestedKey, initial: Tensor
@@ -154,12 +162,14 @@ def _private(key: NestedKey) -> str:
     return "_" + "/".join(key) if isinstance(key, tuple) else f"_{key}"
 
 
-def _set_spec(spec: Composite, key: NestedKey, leaf: TensorSpec) -> None:
+def _set_spec(spec: Composite, key: NestedKey, leaf: TensorSpec, nests: Sequence[Composite]) -> None:
+    """Set a leaf; a nest that is not there yet takes the shape that it has in one of ``nests``."""
     key = unravel_key(key)
     if isinstance(key, tuple):
         nest = key[0]
+        nests = [other[nest] for other in nests if nest in other.keys()]
         if nest not in spec.keys():
-            spec[nest] = Composite(shape=spec.shape, device=spec.device)
-        _set_spec(spec[nest], key[1:] if len(key) > 2 else key[1], leaf)
+            spec[nest] = Composite(shape=nests[0].shape if nests else spec.shape, device=spec.device)
+        _set_spec(spec[nest], key[1:] if len(key) > 2 else key[1], leaf, nests)
     else:
         spec[key] = leaf

@@ -127,9 +127,9 @@ class EnergyTankTransform(ActionTransform):
         return next_tensordict
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        specs = self._state_specs(self.parent.batch_size, self._like())
+        zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)
         for key, level in ((self.energy_key, self.e_max), (self.valve_key, 1.0)):
-            self._restart(tensordict, tensordict_reset, key, specs[key].zero() + level)
+            self._restart(tensordict, tensordict_reset, key, zeros[key] + level)
         return tensordict_reset
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:

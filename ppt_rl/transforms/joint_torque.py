@@ -100,8 +100,9 @@ class JointTorqueTransform(ActionTransform):
         return next_tensordict
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        for key, spec in self._state_specs(self.parent.batch_size, self._like()).items():
-            self._restart(tensordict, tensordict_reset, key, spec.zero())
+        zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)
+        for key, zero in zeros.items():
+            self._restart(tensordict, tensordict_reset, key, zero)
         return tensordict_reset
 
     def _state_keys(self) -> list[str]:

@@ -109,8 +109,8 @@ class MacroStepTransform(ActionTransform):
         return next_tensordict
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        for key, spec in self._outputs().items():
-            tensordict_reset.set(key, spec.zero())
+        for key, zero in self._zeros(self._outputs(), tensordict_reset).items():
+            tensordict_reset.set(key, zero)
         return tensordict_reset
 
     @staticmethod

@@ -145,11 +145,11 @@ class ProMPTransform(ActionTransform):
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         (pose,) = self._require(tensordict_reset, self.pose_key)
         position = self.task_space.project(pose)
-        specs = self._state_specs(self.parent.batch_size, self._like())
-        self._restart(tensordict, tensordict_reset, "phase", specs["phase"].zero())
+        zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)
+        self._restart(tensordict, tensordict_reset, "phase", zeros["phase"])
         self._restart(tensordict, tensordict_reset, "reference_position", position)
         self._restart(tensordict, tensordict_reset, "reference_velocity", torch.zeros_like(position))
-        self._restart(tensordict, tensordict_reset, "weights", specs["weights"].zero())
+        self._restart(tensordict, tensordict_reset, "weights", zeros["weights"])
         return tensordict_reset
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:

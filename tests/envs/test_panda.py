@@ -378,7 +378,10 @@ def test_torque_above_the_limits_acts_as_torque_at_the_limits():
         ({"num_envs": 1.5}, "num_envs is 1.5; expected a whole number of at least 1"),
         ({"num_envs": True}, "num_envs is True; expected a whole number of at least 1"),
         ({"num_threads": 0}, "num_threads is 0; expected at least 1, or None"),
-        ({"physics_dt": 0.003}, r"control_dt=0.01 s is 3.33333 times physics_dt=0.003 s; expected a whole number. Take"),
+        (
+            {"physics_dt": 0.003},
+            r"control_dt=0.01 s is 3.33333 times physics_dt=0.003 s; expected a whole number. Take",
+        ),
         ({"physics_dt": 0.0}, "physics_dt is 0.0; expected a finite number above 0 s"),
         ({"control_dt": -0.01}, "control_dt is -0.01; expected a finite number above 0 s"),
         ({"duration": float("nan")}, "duration is nan; expected a finite number above 0 s"),
@@ -410,7 +413,9 @@ def test_an_action_that_is_not_finite_is_refused_before_it_reaches_the_physics(v
     states = [env.engine.state(row) for row in range(2)]
     action = torch.zeros(2, 7)
     action[1, 3] = value
-    with pytest.raises(ValueError, match=r"action \(joint torque\) holds 1 NaN or infinite entries of 14.* expected finite"):
+    with pytest.raises(
+        ValueError, match=r"action \(joint torque\) holds 1 NaN or infinite entries of 14.* expected finite"
+    ):
         act(env, start, action)
     assert all(np.array_equal(env.engine.state(row), states[row]) for row in range(2))
 
@@ -436,7 +441,9 @@ def test_a_camera_that_does_not_exist_is_refused_with_those_that_do():
 
 def test_without_an_opengl_library_rendering_says_what_to_install(monkeypatch):
     monkeypatch.setattr("ppt_rl.envs.panda.rendering_backend", lambda: "disable")
-    with pytest.raises(RuntimeError, match=r"needs an OpenGL library and none was found; install EGL or OSMesa.*libegl1"):
+    with pytest.raises(
+        RuntimeError, match=r"needs an OpenGL library and none was found; install EGL or OSMesa.*libegl1"
+    ):
         PandaEnv(1, seed=0).render()
 
 

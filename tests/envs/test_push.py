@@ -30,7 +30,15 @@ def tilted(degrees):
 def test_success_is_a_flat_box_within_the_radius_at_the_end_of_the_episode_and_not_before():
     env = PandaPushEnv(7, duration=0.03, success_radius=0.02, seed=0)
     observation = env.reset()
-    cases = [(0.0, 0.0, 0), (0.019, 0.0, 0), (0.021, 0.0, 0), (-0.021, 0.0, 0), (0.0, 0.02, 0), (0.0, 0.001, 15), (0.1, 0.0, 0)]
+    cases = [
+        (0.0, 0.0, 0),
+        (0.019, 0.0, 0),
+        (0.021, 0.0, 0),
+        (-0.021, 0.0, 0),
+        (0.0, 0.02, 0),
+        (0.0, 0.001, 15),
+        (0.1, 0.0, 0),
+    ]
     for row, (distance, height, tilt) in enumerate(cases):
         in_front_of(env, row, distance, height, tilted(tilt))
     success = []

@@ -17,7 +17,7 @@ from ppt_rl.modules.panda import HOME
 class MockArmEnv(EnvBase):
     """Everything a Panda observes, as sines of the step count that the actions push up and down.
 
-    The next observation is a function of the observation and action in the tensordict, so one instance can follow several
+    The next observation is a function of observation and action in the tensordict, so one instance can follow several
     trajectories at once. ``executed`` is the action as it arrived.
 
     Args:

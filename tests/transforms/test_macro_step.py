@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torchrl.envs import Compose, SerialEnv, TransformedEnv
+from tensordict import TensorDict
+from torchrl.envs import Compose, PendulumEnv, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from ppt_rl.transforms import EpisodeMetricsTransform, MacroStepTransform
@@ -159,12 +160,14 @@ def test_rows_outside_the_callers_step_mask_count_no_control_steps_and_earn_noth
         assert torch.equal(masked[key][:2], full[key][:2])
 
 
-def test_a_rollout_until_all_rows_are_done_steps_every_row_to_its_own_end():
+def test_a_rollout_until_all_rows_are_done_steps_every_row_to_its_own_end_and_no_further():
     env = make_env(2, (3, 8, 5))
     steps = env.rollout(10, break_when_all_done=True)["next"]
     assert steps.shape == (3, 4)
-    assert steps["control_steps"].sum(1).flatten().tolist() == [3, 8, 5]
     assert steps["count"][:, -1].flatten().tolist() == [3.0, 8.0, 5.0]
+    for row, horizon in enumerate((3, 8, 5)):
+        ends = int(steps["done"][row].flatten().nonzero()[0])
+        assert steps["control_steps"][row, : ends + 1].sum() == horizon
 
 
 def test_a_transformed_serial_env_freezes_the_workers_that_end_inside_a_chunk():
@@ -240,10 +243,23 @@ def test_a_discount_outside_zero_to_one_is_refused(discount):
 
 
 def test_an_unknown_trace_key_is_refused_with_the_observations_that_there_are():
-    with pytest.raises(KeyError, match="trace key 'absent' is no observation.*joint_velocity"):
+    with pytest.raises(KeyError, match=r"trace key 'absent' is no observation.*joint_velocity"):
         make_env(4, (20,), trace_keys=["absent"]).reset()
 
 
 def test_trace_keys_without_a_number_of_steps_are_refused():
     with pytest.raises(ValueError, match="trace_keys need num_steps"):
         make_env(None, (20,), trace_keys=["count"]).reset()
+
+
+@pytest.mark.parametrize("batch", [(3,), (2, 3)], ids=str)
+def test_an_environment_without_a_batch_lock_runs_chunks_in_any_batch(batch):
+    env = TransformedEnv(PendulumEnv(), MacroStepTransform(4, trace_keys=["th"]))
+    td = env.reset(TensorDict(batch_size=batch))
+    assert td["trace", "th"].shape == (*batch, 4)
+    chunk = torch.randn(*batch, 4, 1)
+    reached = env.step(td.clone().set("action", chunk))["next"]
+    for action in chunk.unbind(len(batch)):
+        td = env.base_env.step(td.set("action", action))["next"]
+    torch.testing.assert_close(reached["th"], td["th"])
+    assert (reached["control_steps"] == 4).all()
