@@ -9,14 +9,16 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.data import Bounded, Composite
 from torchrl.envs import EnvBase
 
 from ppt_rl.envs.models import PADDLE, Tool, remove_visual_geoms, table_scene
-from ppt_rl.envs.mujoco_imports import mjcf, mujoco, rendering_backend
+from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.envs.physics import ThreadedPhysics, substeps_per_control_step
+from ppt_rl.envs.readings import ArmReadings
+from ppt_rl.envs.rendering import SceneRenderer, require_rendering
+from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.functional.checks import require_finite, require_positive
-from ppt_rl.functional.rotations import quat_rotate
 from ppt_rl.modules.kinematics import PandaKinematics
 from ppt_rl.modules.panda import HOME, TORQUE_LIMITS
 
@@ -96,12 +98,13 @@ class PandaEnv(EnvBase):
         model = mjcf.Physics.from_mjcf_model(root).model.ptr
         self.engine = ThreadedPhysics(model, self.num_envs, self.substeps, num_threads)
         self._kinematics = PandaKinematics(self.tool_length, dtype=torch.float64)
-        self._layout(model)
+        self._readings = ArmReadings(model, dtype)
+        self._prepare(model)
         self._sensors = torch.zeros(self.num_envs, model.nsensordata, dtype=dtype)
         self._elapsed = torch.zeros(self.num_envs, 1, dtype=torch.int64)
         self._diverged = torch.zeros(self.num_envs, 1, dtype=torch.bool)
         self._torque_limit = torch.tensor(TORQUE_LIMITS, dtype=torch.float64)
-        self._rendered: Any = None
+        self._rendered: SceneRenderer | None = None
         self._make_specs()
         self.set_seed(seed if seed is not None else int(np.random.SeedSequence().generate_state(1)[0]))
 
@@ -111,9 +114,12 @@ class PandaEnv(EnvBase):
         """MJCF of the scene, with looks."""
         return table_scene(self.tool, physics_dt=self.physics_dt)
 
-    def _task_spec(self) -> Composite:
+    def _task_spec(self, make: SpecMaker) -> Composite:
         """Specs of the observations that the task adds."""
-        return Composite(shape=self.batch_size, device=self.device)
+        return make.nest()
+
+    def _prepare(self, model: Any) -> None:
+        """Look up in the compiled model what the task needs of it."""
 
     def _begin(self, rows: Rows) -> np.ndarray:
         """Draw an episode for ``rows``, write its parameters into their models and return ``(R, nq)`` positions."""
@@ -203,10 +209,8 @@ class PandaEnv(EnvBase):
         if not self.is_closed:
             self.engine.close()
             if self._rendered is not None:
-                self._rendered.free()
+                self._rendered.physics.free()
         super().close(raise_if_closed=raise_if_closed)
-
-    # -- inspection ---------------------------------------------------------------------------------------------------
 
     @property
     def tool_length(self) -> float:
@@ -228,12 +232,9 @@ class PandaEnv(EnvBase):
         if not 0 <= index < self.num_envs:
             raise IndexError(f"environment {index} of {self.num_envs}; expected 0 to {self.num_envs - 1}.")
         if self._rendered is None:
-            self._rendered = mjcf.Physics.from_mjcf_model(self._scene())
-        model, data = self._rendered.model.ptr, self._rendered.data.ptr
-        self._write_parameters(model, index)
-        mujoco.mj_setState(model, data, self.engine.state(index), mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        mujoco.mj_forward(model, data)
-        return self._rendered
+            self._rendered = SceneRenderer(self._scene())
+        self._write_parameters(self._rendered.physics.model.ptr, index)
+        return self._rendered.at(self.engine.state(index))
 
     def render(
         self, index: int = 0, *, camera: str = "overview", width: int = 640, height: int = 480
@@ -253,56 +254,22 @@ class PandaEnv(EnvBase):
             ValueError: if the scene has no such camera.
             RuntimeError: if no OpenGL library is found.
         """
-        if rendering_backend() == "disable":
-            raise RuntimeError(
-                "rendering needs an OpenGL library and none was found; install EGL or OSMesa "
-                "(Debian and Ubuntu: apt-get install libegl1 or libosmesa6)."
-            )
-        physics = self.physics(index)
-        cameras = [physics.model.id2name(k, "camera") for k in range(physics.model.ncam)]
-        if camera not in cameras:
-            raise ValueError(f"camera is {camera!r}; expected one of {cameras}.")
-        return physics.render(height=height, width=width, camera_id=camera)
-
-    # -- pieces -------------------------------------------------------------------------------------------------------
-
-    def _layout(self, model: Any) -> None:
-        """Slices of the sensor vector and the tool's weight."""
-
-        def span(first: str, last: str) -> slice:
-            a, b = model.sensor(first), model.sensor(last)
-            return slice(int(a.adr[0]), int(b.adr[0] + b.dim[0]))
-
-        self._slices = {
-            "joint_position": span("joint_position1", "joint_position7"),
-            "joint_velocity": span("joint_velocity1", "joint_velocity7"),
-            "pose": span("position", "orientation"),
-            "twist": span("linear_velocity", "angular_velocity"),
-        }
-        self._force = span("force", "torque")
-        tool = model.body("tool")
-        self._tool_weight = torch.tensor(float(tool.mass[0]) * model.opt.gravity, dtype=self.dtype)  # [N]
-        point = model.site("end_effector").pos
-        self._tool_com = torch.tensor(tool.ipos - point, dtype=self.dtype)  # from the end-effector point [m]
+        require_rendering()
+        self.physics(index)
+        assert self._rendered is not None
+        return self._rendered.picture(camera, width, height)
 
     def _make_specs(self) -> None:
-        batch, dtype, device = self.batch_size, self.dtype, self.device
-
-        def real(size: int) -> Unbounded:
-            return Unbounded(shape=(*batch, size), dtype=dtype, device=device)
-
-        def flag() -> Binary:
-            return Binary(n=1, shape=(*batch, 1), dtype=torch.bool, device=device)
-
-        self.observation_spec = Composite(
-            joint_position=real(7), joint_velocity=real(7), pose=real(7), twist=real(6), wrench=real(6),
-            diverged=flag(), shape=batch, device=device,
-        )  # fmt: skip
-        self.observation_spec.update(self._task_spec())
-        limit = torch.tensor(TORQUE_LIMITS, dtype=dtype, device=device).expand(*batch, 7)
-        self.action_spec = Bounded(-limit, limit, shape=(*batch, 7), dtype=dtype, device=device)
+        make = SpecMaker(self.batch_size, self.dtype, self.device)
+        real, flag = make.real, make.flag
+        self.observation_spec = make.nest(
+            joint_position=real(7), joint_velocity=real(7), pose=real(7), twist=real(6), wrench=real(6), diverged=flag()
+        )
+        self.observation_spec.update(self._task_spec(make))
+        limit = torch.tensor(TORQUE_LIMITS, dtype=self.dtype, device=self.device).expand(self.num_envs, 7)
+        self.action_spec = Bounded(-limit, limit, shape=limit.shape, dtype=self.dtype, device=self.device)
         self.reward_spec = real(1)
-        self.done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=batch, device=device)
+        self.done_spec = make.nest(done=flag(), terminated=flag(), truncated=flag())
 
     def _checked_torque(self, action: Tensor, mask: Tensor | None) -> Tensor:
         if action.shape != (self.num_envs, 7):
@@ -315,21 +282,7 @@ class PandaEnv(EnvBase):
         return torch.maximum(torch.minimum(torque, self._torque_limit), -self._torque_limit)
 
     def _observation(self) -> dict[str, Any]:
-        sensors = self._sensors
-        observation: dict[str, Any] = {key: sensors[:, part] for key, part in self._slices.items()}
-        observation["wrench"] = self._wrench(sensors, observation["pose"][:, 3:])
-        observation["diverged"] = self._diverged.clone()
-        return observation
-
-    def _wrench(self, sensors: Tensor, orientation: Tensor) -> Tensor:
-        """Wrench on the world, world axes, from wrist force and torque: the tool's weight is taken off."""
-        local = sensors[:, self._force].unflatten(-1, (2, 3))
-        arm = self._tool_com.expand(len(sensors), 1, 3)
-        turned = quat_rotate(orientation.unsqueeze(1), torch.cat([local, arm], 1))
-        weight = self._tool_weight.expand(len(sensors), 3)
-        force = turned[:, 0] + weight
-        torque = turned[:, 1] + torch.linalg.cross(turned[:, 2], weight)
-        return torch.cat([force, torque], -1)
+        return self._readings.observe(self._sensors) | {"diverged": self._diverged.clone()}
 
     def _done(self, ended: Tensor) -> dict[str, Tensor]:
         done = ended | self._diverged

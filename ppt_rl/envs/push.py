@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torchrl.data import Binary, Composite, Unbounded
+from torchrl.data import Composite
 
 from ppt_rl.envs.models import PUSH_BOX, push_scene
 from ppt_rl.envs.panda import PandaEnv, Rows
 from ppt_rl.envs.push_episode import BOXES, PushEpisodes, PushRandomisation, draw_episodes
+from ppt_rl.envs.readings import sensor_span
+from ppt_rl.envs.specs import SpecMaker
 
 __all__ = ["PandaPushEnv", "PushRewards"]
 
+#: Names of the four reward groups (paper, section "Problem Statement").
+REWARD_GROUPS = ("progress", "free_space", "contact", "power")
 #: A box counts as flat when its vertical axis is within 10 degrees and its centre within 5 mm of lying [-], [m].
 _FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
 
@@ -106,10 +110,8 @@ class PandaPushEnv(PandaEnv):
     def _scene(self) -> Any:
         return push_scene(self.tool, physics_dt=self.physics_dt)
 
-    def _layout(self, model: Any) -> None:
-        super()._layout(model)
-        position, quat = model.sensor("box_position"), model.sensor("box_orientation")
-        self._box_slice = slice(int(position.adr[0]), int(quat.adr[0] + quat.dim[0]))
+    def _prepare(self, model: Any) -> None:
+        self._box_slice = sensor_span(model, "box_position", "box_orientation")
         self._episode = PushEpisodes(self.num_envs, self.dtype)
 
     def _begin(self, rows: Rows) -> np.ndarray:
@@ -143,7 +145,11 @@ class PandaPushEnv(PandaEnv):
         model.body("goal").pos[:2] = self._episode.goal[row].numpy()
 
     def _task_reset(self, rows: Tensor) -> dict[str, Any]:
-        episode, box, tool = self._episode, self._sensors[:, self._box_slice], self._sensors[:, self._slices["pose"]]
+        episode, box, tool = (
+            self._episode,
+            self._sensors[:, self._box_slice],
+            self._sensors[:, self._readings.slices["pose"]],
+        )
         distance = (box[:, :2] - episode.goal).norm(dim=-1, keepdim=True)
         reach = self._reach(box, tool)
         episode.first_distance[rows] = distance[rows]
@@ -153,7 +159,7 @@ class PandaPushEnv(PandaEnv):
         episode.touched[rows] = False
         episode.via_position[rows] = self._via_points(tool)[rows]
         zero = torch.zeros_like(distance)
-        terms = {name: zero.clone() for name in ("progress", "free_space", "contact", "power")}
+        terms = {name: zero.clone() for name in REWARD_GROUPS}
         return self._task_observation(box, terms, distance, self._success(box, distance, self._elapsed >= self.horizon))
 
     def _success(self, box: Tensor, distance: Tensor, ended: Tensor) -> Tensor:
@@ -232,20 +238,10 @@ class PandaPushEnv(PandaEnv):
             "reward_terms": terms,
         }
 
-    def _task_spec(self) -> Composite:
-        batch, device = self.batch_size, self.device
-
-        def real(*shape: int) -> Unbounded:
-            return Unbounded(shape=(*batch, *shape), dtype=self.dtype, device=device)
-
-        def flag(size: int) -> Binary:
-            return Binary(n=size, shape=(*batch, size), dtype=torch.bool, device=device)
-
-        terms = Composite(
-            {name: real(1) for name in ("progress", "free_space", "contact", "power")}, shape=batch, device=device
-        )
-        return Composite(
+    def _task_spec(self, make: SpecMaker) -> Composite:
+        real, flag = make.real, make.flag
+        return make.nest(
             box_pose=real(7), box_start=real(2), box_size=real(1), goal=real(2), via_phase=real(3),
-            via_position=real(3, 3), via_cov=real(3, 3, 3), via_mask=flag(3), progress=real(1), success=flag(1),
-            reward_terms=terms, shape=batch, device=device,
+            via_position=real(3, 3), via_cov=real(3, 3, 3), via_mask=flag(3), progress=real(1), success=flag(),
+            reward_terms=make.nest(**{name: real(1) for name in REWARD_GROUPS}),
         )  # fmt: skip

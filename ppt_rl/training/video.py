@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
 from ppt_rl.envs import PandaPushEnv
+from ppt_rl.envs.rendering import require_rendering
 
 __all__ = ["push_frames", "write_video"]
 
@@ -44,12 +45,12 @@ def push_frames(
     Raises:
         RuntimeError: if no OpenGL library is found.
     """
+    require_rendering()
     for row in rows:
         steps = int(episodes["control_steps"][row])
         trace = episodes["trace"][row]
         positions = torch.cat([trace["joint_position"], trace["box_pose"]], -1).double().numpy()
         for step in range(0, steps, every):
-            env.render(row, width=16, height=16)  # writes this environment's sizes and goal into the renderer
             physics = env.physics(row)
             with physics.reset_context():
                 physics.data.qpos[:] = positions[step]

@@ -40,6 +40,7 @@ class ProMPTransform(ActionTransform):
         dt: control step [s].
         action_key: the action: residual outside, references towards the environment.
         pose_key: end-effector pose observation.
+        weights_key: reference weights, as :class:`ViaPointTransform` writes them; where missing, the prior's mean.
 
     Raises:
         ValueError: if sizes do not fit, the duration is no multiple of ``dt``, or an action is not finite.
@@ -58,6 +59,7 @@ class ProMPTransform(ActionTransform):
         dt: float = 0.01,
         action_key: NestedKey = "action",
         pose_key: NestedKey = "pose",
+        weights_key: NestedKey = "weights_mean",
     ) -> None:
         super().__init__(action_key)
         if promp.num_dof != task_space.num_dof:
@@ -75,6 +77,7 @@ class ProMPTransform(ActionTransform):
         self.promp = promp
         self.task_space = task_space
         self.pose_key = pose_key
+        self.weights_key = weights_key
         self.register_buffer("residual_scale", scale.expand(promp.num_dof).clone())
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -87,7 +90,7 @@ class ProMPTransform(ActionTransform):
         phases = (phase + offsets).clamp_max(1.0)  # (*B, N + 1)
         positions, velocities, _ = self.promp.decode(weights, phases)
         # Past the end the reference rests where it is.
-        velocities = velocities * (phase + offsets <= 1.0 + 1e-6).unsqueeze(-1)
+        velocities = velocities * (phase + offsets <= 1.0 + 0.5 / self.total_steps).unsqueeze(-1)
         reference = torch.cat([self.task_space.pose(positions), self.task_space.twist(velocities)], -1)
         tensordict.set(self.action_key, reference[..., :-1, :])
         for key, value in (
@@ -110,7 +113,7 @@ class ProMPTransform(ActionTransform):
         return phase, position, velocity
 
     def _weights(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
-        reference = tensordict.get("weights_mean", None)
+        reference = tensordict.get(self.weights_key, None)
         if reference is None:
             reference = self.promp.weights_mean.to(action.dtype)
         return reference + self.residual_scale.to(action.dtype) * unvec(action, self.promp.num_basis)

@@ -141,6 +141,23 @@ def test_what_is_drawn_for_a_box_lies_in_its_range_and_is_written_to_its_own_mod
     assert sorted(observation["box_size"].unique().tolist()) == pytest.approx([0.06, 0.08])
 
 
+def test_a_randomised_model_is_the_one_that_would_be_compiled_with_its_numbers():
+    env = PandaPushEnv(4, seed=0)
+    env.reset()
+    for model in env.engine.models:
+        half, mass = float(model.geom("box").size[0]), float(model.body("box").mass[0])
+        root = push_scene(half_size=half, mass=mass)
+        remove_visual_geoms(root)
+        fresh = compiled(root)
+        fresh.geom("box").friction[0] = model.geom("box").friction[0]
+        fresh.body("goal").pos[:] = model.body("goal").pos
+        mujoco.mj_setConst(fresh, mujoco.MjData(fresh))
+        for name in ("geom_size", "geom_rbound", "geom_aabb", "geom_friction", "body_mass", "body_inertia", "body_pos"):
+            np.testing.assert_allclose(getattr(model, name), getattr(fresh, name), rtol=0, atol=1e-12, err_msg=name)
+        for name in ("body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0"):
+            np.testing.assert_allclose(getattr(model, name), getattr(fresh, name), rtol=1e-6, atol=0, err_msg=name)
+
+
 def test_what_is_drawn_for_the_start_and_the_goal_lies_in_its_range_and_fills_it():
     observation = PandaPushEnv(128, seed=1).reset()
     ranges = PushRandomisation()

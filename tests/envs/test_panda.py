@@ -268,7 +268,7 @@ def test_the_wrench_is_zero_at_rest():
 def test_the_force_in_free_motion_is_the_mass_of_the_tool_times_its_acceleration():
     env, run = moving()
     tool = env.engine.models[0].body("tool")
-    arm = quat_rotate(run["pose"][..., 3:], env._tool_com.expand(3, 40, 3))
+    arm = quat_rotate(run["pose"][..., 3:], env._readings._com.expand(3, 40, 3))
     speed = run["twist"][..., :3] + torch.linalg.cross(run["twist"][..., 3:], arm)
     inertial = float(tool.mass[0]) * speed.diff(dim=1) / env.physics_dt
     assert inertial.norm(dim=-1).max() > 0.1
@@ -440,7 +440,7 @@ def test_a_camera_that_does_not_exist_is_refused_with_those_that_do():
 
 
 def test_without_an_opengl_library_rendering_says_what_to_install(monkeypatch):
-    monkeypatch.setattr("ppt_rl.envs.panda.rendering_backend", lambda: "disable")
+    monkeypatch.setattr("ppt_rl.envs.rendering.rendering_backend", lambda: "disable")
     with pytest.raises(
         RuntimeError, match=r"needs an OpenGL library and none was found; install EGL or OSMesa.*libegl1"
     ):

@@ -110,12 +110,14 @@ def test_the_progress_terms_of_an_episode_add_up_to_the_way_covered_plus_the_fin
 
 def test_the_free_space_term_ends_for_good_when_the_box_has_moved():
     env = PandaPushEnv(2, seed=0)
-    torque = torques(env, 6, scale=0.3)
-    observation = env.reset()
+    torque = torques(env, 8, scale=0.3)
+    observation = start = env.reset()
     terms = []
-    for k in range(6):
+    for k in range(8):
         if k == 2:
             in_front_of(env, 1, 0.1)
+        if k == 5:  # back where it was
+            put_box(env, 1, start["box_pose"][1, :3].tolist(), start["box_pose"][1, 3:].tolist())
         observation = act(env, observation, torque[:, k])
         terms.append(observation["reward_terms", "free_space"].squeeze(-1))
     free = torch.stack(terms) != 0

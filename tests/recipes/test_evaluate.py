@@ -63,7 +63,7 @@ def test_evaluation_repeats_with_the_same_seed(trained, tmp_path):
 
 
 def test_without_an_opengl_library_only_the_video_is_left_out(trained, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("ppt_rl.envs.panda.rendering_backend", lambda: "disable")
+    monkeypatch.setattr("ppt_rl.envs.rendering.rendering_backend", lambda: "disable")
     evaluate.main(evaluate.Config(trained, episodes=2, num_envs=2, report=tmp_path))
     assert "no video: rendering needs an OpenGL library" in capsys.readouterr().out
     assert (tmp_path / "episode.png").exists()

@@ -1,0 +1,71 @@
+"""What the sensors of the arm say, in the library's conventions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ppt_rl.functional.rotations import quat_rotate
+
+__all__ = ["ArmReadings", "sensor_span"]
+
+
+def sensor_span(model: Any, first: str, last: str) -> slice:
+    """Part of the sensor vector from one sensor to another, both included.
+
+    Args:
+        model: ``mujoco.MjModel``.
+        first: name of the first sensor.
+        last: name of the last one.
+
+    Returns:
+        The slice.
+    """
+    begin, end = model.sensor(first), model.sensor(last)
+    return slice(int(begin.adr[0]), int(end.adr[0] + end.dim[0]))
+
+
+class ArmReadings:
+    """Turns sensor vectors into observations of the arm.
+
+    Args:
+        model: compiled model with the sensors of ``panda_model`` and ``attach_tool``.
+        dtype: precision of the observations.
+    """
+
+    def __init__(self, model: Any, dtype: torch.dtype) -> None:
+        self.slices = {
+            "joint_position": sensor_span(model, "joint_position1", "joint_position7"),
+            "joint_velocity": sensor_span(model, "joint_velocity1", "joint_velocity7"),
+            "pose": sensor_span(model, "position", "orientation"),
+            "twist": sensor_span(model, "linear_velocity", "angular_velocity"),
+        }
+        self._force = sensor_span(model, "force", "torque")
+        tool, point = model.body("tool"), model.site("end_effector").pos
+        self._weight = torch.tensor(float(tool.mass[0]) * model.opt.gravity, dtype=dtype)  # [N]
+        self._com = torch.tensor(tool.ipos - point, dtype=dtype)  # from the end-effector point, tool axes [m]
+
+    def observe(self, sensors: Tensor) -> dict[str, Tensor]:
+        """Observations, views of the readings but for the wrench.
+
+        Args:
+            sensors: ``(B, S)`` readings.
+
+        Returns:
+            ``joint_position``, ``joint_velocity``, ``pose``, ``twist`` and ``wrench``.
+        """
+        observation = {key: sensors[:, part] for key, part in self.slices.items()}
+        observation["wrench"] = self._wrench(sensors, observation["pose"][:, 3:])
+        return observation
+
+    def _wrench(self, sensors: Tensor, orientation: Tensor) -> Tensor:
+        """Wrench on the world, world axes, from wrist force and torque: the tool's weight is taken off."""
+        local = sensors[:, self._force].unflatten(-1, (2, 3))
+        com = self._com.expand(len(sensors), 1, 3)
+        turned = quat_rotate(orientation.unsqueeze(1), torch.cat([local, com], 1))
+        weight = self._weight.expand(len(sensors), 3)
+        force = turned[:, 0] + weight
+        torque = turned[:, 1] + torch.linalg.cross(turned[:, 2], weight)
+        return torch.cat([force, torque], -1)
