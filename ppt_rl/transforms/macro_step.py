@@ -72,11 +72,12 @@ class MacroStepTransform(ActionTransform):
         alive = self._stepping(tensordict)  # None: every row
         frozen: TensorDictBase | None = None
         memory = _Memory(tensordict, sum_keys, self.trace_keys)
+        current = tensordict
         for action in steps[:-1]:
-            tensordict.set(self.action_key, action)
+            current.set(self.action_key, action)
             if alive is not None:
-                tensordict.set("_step", alive)
-            following = parent._step(tensordict)
+                current.set("_step", alive)
+            following = parent._step(current)
             frozen = following if alive is None or frozen is None else _where(alive, following, frozen)
             memory.add(following, alive, self.discount)
             done = following.get("done").reshape(tensordict.batch_size)
@@ -84,7 +85,9 @@ class MacroStepTransform(ActionTransform):
                 alive = ~done if alive is None else alive & ~done
                 if not bool(alive.any()):
                     break
-            tensordict.update(following)
+            current = _carried(current, following, parent.state_keys)
+        if current is not tensordict:
+            tensordict.update(current)
         tensordict.set(self.action_key, steps[-1])
         if alive is not None and bool(alive.any()):
             tensordict.set("_step", alive)
@@ -205,6 +208,17 @@ class _Memory:
         """Recorded values along a step dimension, padded to the chunk's length."""
         values = values + [torch.zeros_like(values[0])] * (self.length - len(values))
         return torch.stack(values, self.count.ndim)
+
+
+def _carried(current: TensorDictBase, following: TensorDictBase, state_keys: Sequence[NestedKey]) -> TensorDictBase:
+    """Root of the next control step: what the last one returned, and the state that it did not return."""
+    root = following.clone(recurse=False)
+    for key in state_keys:
+        if root.get(key, None) is None:
+            value = current.get(key, None)
+            if value is not None:
+                root.set(key, value)
+    return root
 
 
 def _masked(value: Tensor, alive: Tensor | None) -> Tensor:
