@@ -18,8 +18,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from mujoco import rollout
 from torchrl.collectors import Collector
+from torchrl.envs.utils import ExplorationType
 
+from ppt_rl.envs.mujoco_imports import mujoco
 from ppt_rl.training import fit_push_prior, run_cli
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipes"))
@@ -73,18 +76,30 @@ def measure(run: Config) -> dict[str, float]:
     memory = (_peak_memory() - before) / run.num_envs
     torques = _reference_torques(recipe, config, promp, env, actor)
     action = torch.from_numpy(torques).float()
-    collector = iter(Collector(
+    collector = Collector(
         env, actor, frames_per_batch=run.num_envs, total_frames=-1, trust_policy=True,
-        auto_register_policy_transforms=False,
-    ))  # fmt: skip
+        auto_register_policy_transforms=False, exploration_type=ExplorationType.DETERMINISTIC,
+    )  # fmt: skip
+    batches = iter(collector)
 
     def restart() -> None:
         env.set_seed(1)
         env.reset()
 
+    pool = rollout.Rollout(nthread=run.threads if run.threads > 1 else 0)
+    data = [mujoco.MjData(engine.models[0]) for _ in range(run.threads)]
+    held = np.ascontiguousarray(np.repeat(torques[:, :, None], base.substeps, 2))
+    sensors = np.empty((run.num_envs, base.substeps, engine.models[0].nsensordata))
+
     def raw() -> None:
-        for control in torques:
-            engine.step(control)
+        state = np.stack([engine.state(row) for row in range(run.num_envs)])
+        states = np.empty((run.num_envs, base.substeps, state.shape[-1]))
+        for control in held:
+            pool.rollout(
+                engine.models, data, state, control, nstep=base.substeps, state=states, sensordata=sensors,
+                skip_checks=True,
+            )  # fmt: skip
+            state = states[:, -1].copy()
 
     def environment() -> None:
         tensordict = base.fake_tensordict().exclude("next")
@@ -97,7 +112,7 @@ def measure(run: Config) -> dict[str, float]:
         env.step(tensordict)
 
     times: dict[str, list[float]] = {"raw": [], "base": [], "chain": [], "collector": []}
-    next(collector)
+    next(batches)
     for _ in range(run.repeats):
         restart()
         times["raw"].append(_timed(raw))
@@ -106,7 +121,11 @@ def measure(run: Config) -> dict[str, float]:
         env.set_seed(1)
         tensordict = actor(env.reset())
         times["chain"].append(_timed(chain))
-        times["collector"].append(_timed(lambda: next(collector)))
+        env.set_seed(1)
+        collector.reset()
+        times["collector"].append(_timed(lambda: next(batches)))
+    if not bool((env.step(actor(env.reset()))["next", "control_steps"] == base.horizon).all()):
+        raise RuntimeError("an episode ended early, so the four runs did not do the same work; take another seed.")
     steps = run.num_envs * base.horizon
     rates = {name: steps / statistics.median(values) for name, values in times.items()}
     result = {f"rate_{name}": rate for name, rate in rates.items()}

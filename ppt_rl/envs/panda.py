@@ -279,7 +279,7 @@ class PandaEnv(EnvBase):
             )
         torque = action.detach().to("cpu", torch.float64)
         require_finite("action (joint torque)", torque if mask is None else torque[mask])
-        return torch.maximum(torch.minimum(torque, self._torque_limit), -self._torque_limit)
+        return torque.clamp(-self._torque_limit, self._torque_limit)
 
     def _observation(self) -> dict[str, Any]:
         return self._readings.observe(self._sensors) | {"diverged": self._diverged.clone()}

@@ -113,6 +113,10 @@ class PandaPushEnv(PandaEnv):
     def _prepare(self, model: Any) -> None:
         self._box_slice = sensor_span(model, "box_position", "box_orientation")
         self._episode = PushEpisodes(self.num_envs, self.dtype)
+        weights, dt = self.rewards, self.control_dt
+        # Per group: progress and free space are shares of a way, contact and power are rates.
+        rates = [weights.progress, weights.free_space, -weights.contact * dt, -weights.power * dt]
+        self._weights = torch.tensor(rates, dtype=self.dtype)
 
     def _begin(self, rows: Rows) -> np.ndarray:
         drawn = draw_episodes(self._rng, len(rows), self.randomisation, self.box_sizes)
@@ -138,68 +142,56 @@ class PandaPushEnv(PandaEnv):
         geom, body = model.geom(PUSH_BOX), model.body(PUSH_BOX)
         geom.size[:] = half
         geom.friction[0] = friction
-        model.geom_rbound[geom.id] = half * np.sqrt(3.0)
-        model.geom_aabb[geom.id] = [0, 0, 0, half, half, half]
         body.mass[:] = mass
         body.inertia[:] = mass * (2 * half) ** 2 / 6
         model.body("goal").pos[:2] = self._episode.goal[row].numpy()
 
     def _task_reset(self, rows: Tensor) -> dict[str, Any]:
-        episode, box, tool = (
-            self._episode,
-            self._sensors[:, self._box_slice],
-            self._sensors[:, self._readings.slices["pose"]],
-        )
-        distance = (box[:, :2] - episode.goal).norm(dim=-1, keepdim=True)
-        reach = self._reach(box, tool)
-        episode.first_distance[rows] = distance[rows]
-        episode.distance[rows] = distance[rows]
-        episode.first_reach[rows] = reach[rows]
-        episode.reach[rows] = reach[rows]
+        episode, box = self._episode, self._sensors[:, self._box_slice]
+        tool = self._sensors[:, self._readings.slices["pose"]]
+        ways = self._ways(box, tool)
+        episode.ways[rows], episode.first_ways[rows] = ways[rows], ways[rows].clamp_min(1e-3)
         episode.touched[rows] = False
         episode.via_position[rows] = self._via_points(tool)[rows]
-        zero = torch.zeros_like(distance)
-        terms = {name: zero.clone() for name in REWARD_GROUPS}
-        return self._task_observation(box, terms, distance, self._success(box, distance, self._elapsed >= self.horizon))
+        terms = torch.zeros(self.num_envs, len(REWARD_GROUPS), dtype=self.dtype)
+        return self._task_observation(box, terms, ways, self._success(box, ways, self._elapsed >= self.horizon))
 
-    def _success(self, box: Tensor, distance: Tensor, ended: Tensor) -> Tensor:
-        return ended & (distance < self.success_radius) & self._is_flat(box)
+    def _success(self, box: Tensor, ways: Tensor, ended: Tensor) -> Tensor:
+        if not bool(ended.any()):
+            return torch.zeros_like(ended)
+        return ended & (ways[:, :1] < self.success_radius) & self._is_flat(box)
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         episode, box = self._episode, self._sensors[:, self._box_slice]
-        distance = (box[:, :2] - episode.goal).norm(dim=-1, keepdim=True)
-        success = self._success(box, distance, ended)
-        terms = self._reward_terms(observation, box, distance, success, ended)
-        task = self._task_observation(box, terms, distance, success)
-        task["reward"] = torch.stack(list(terms.values()), 0).sum(0)
+        ways = self._ways(box, observation["pose"])
+        success = self._success(box, ways, ended)
+        terms = self._reward_terms(observation, ways, success, ended)
+        episode.ways = ways
+        episode.touched = episode.touched | (ways[:, :1] < episode.first_ways[:, :1] - 1e-3)
+        task = self._task_observation(box, terms, ways, success)
+        task["reward"] = terms.sum(-1, keepdim=True)
         return task
 
     # -- reward -------------------------------------------------------------------------------------------------------
 
-    def _reward_terms(
-        self, observation: dict[str, Any], box: Tensor, distance: Tensor, success: Tensor, ended: Tensor
-    ) -> dict[str, Tensor]:
+    def _reward_terms(self, observation: dict[str, Any], ways: Tensor, success: Tensor, ended: Tensor) -> Tensor:
+        """``(num_envs, 4)`` rewards of the groups, in the order of :data:`REWARD_GROUPS`."""
         episode, weights = self._episode, self.rewards
-        force = observation["wrench"][:, :3].norm(dim=-1, keepdim=True)  # [N]
-        power = (observation["wrench"] * observation["twist"]).sum(-1, keepdim=True).abs()  # [W]
-        reach = self._reach(box, observation["pose"])
-        progress = weights.progress * (episode.distance - distance) / episode.first_distance
-        final = weights.precision * torch.exp(-distance / self.success_radius) + weights.success * success
-        approach = weights.free_space * (episode.reach - reach) / episode.first_reach
-        terms = {
-            "progress": progress + final * ended,
-            "free_space": approach * ~episode.touched,
-            "contact": -weights.contact * (force - weights.force_limit).clamp_min(0.0) * self.control_dt,
-            "power": -weights.power * power * self.control_dt,
-        }
-        episode.distance, episode.reach = distance, reach
-        episode.touched = episode.touched | (distance < episode.first_distance - 1e-3)
+        wrench = observation["wrench"]
+        gained = (episode.ways - ways) / episode.first_ways
+        excess = (torch.linalg.vector_norm(wrench[:, :3], dim=-1, keepdim=True) - weights.force_limit).clamp_min(0.0)
+        power = (wrench * observation["twist"]).sum(-1, keepdim=True).abs()  # [W]
+        terms = torch.cat([gained, excess, power], -1) * self._weights
+        terms[:, 1:2] *= ~episode.touched
+        if bool(ended.any()):
+            precision = weights.precision * torch.exp(-ways[:, :1] / self.success_radius)
+            terms[:, :1] += (precision + weights.success * success) * ended
         return terms
 
-    @staticmethod
-    def _reach(box: Tensor, tool: Tensor) -> Tensor:
-        """Distance between tool and box centre in the plane, kept off zero [m]."""
-        return (box[:, :2] - tool[:, :2]).norm(dim=-1, keepdim=True).clamp_min(1e-3)
+    def _ways(self, box: Tensor, tool: Tensor) -> Tensor:
+        """``(num_envs, 2)`` distances in the plane, box to goal and tool to box [m]."""
+        plane = torch.stack([self._episode.goal, tool[:, :2]], 1) - box[:, None, :2]
+        return torch.linalg.vector_norm(plane, dim=-1)
 
     def _is_flat(self, box: Tensor) -> Tensor:
         x, y = box[:, 4:5], box[:, 5:6]
@@ -220,9 +212,7 @@ class PandaPushEnv(PandaEnv):
         end = torch.cat([episode.goal - offset * direction, yaw], -1)
         return torch.stack([start, behind, end], 1)
 
-    def _task_observation(
-        self, box: Tensor, terms: dict[str, Tensor], distance: Tensor, success: Tensor
-    ) -> dict[str, Any]:
+    def _task_observation(self, box: Tensor, terms: Tensor, ways: Tensor, success: Tensor) -> dict[str, Any]:
         episode = self._episode
         return {
             "box_pose": box,
@@ -233,9 +223,9 @@ class PandaPushEnv(PandaEnv):
             "via_position": episode.via_position,
             "via_cov": episode.via_cov,
             "via_mask": episode.via_mask,
-            "progress": (1 - distance / episode.first_distance).clamp(0.0, 1.0),
+            "progress": (1 - ways[:, :1] / episode.first_ways[:, :1]).clamp(0.0, 1.0),
             "success": success,
-            "reward_terms": terms,
+            "reward_terms": dict(zip(REWARD_GROUPS, terms.split(1, -1), strict=True)),
         }
 
     def _task_spec(self, make: SpecMaker) -> Composite:

@@ -75,8 +75,7 @@ class PushEpisodes:
 
         self.physical = {name: np.zeros(self.num_envs) for name in ("half", "mass", "friction")}
         self.half, self.box_start, self.goal = zeros(1), zeros(2), zeros(2)
-        self.distance, self.first_distance = zeros(1), zeros(1) + 1
-        self.reach, self.first_reach = zeros(1), zeros(1) + 1
+        self.ways, self.first_ways = zeros(2), zeros(2) + 1  # box to goal, tool to box
         self.touched = torch.zeros(self.num_envs, 1, dtype=torch.bool)
         self.via_phase = torch.tensor(_VIA_PHASE, dtype=self.dtype).repeat(self.num_envs, 1)
         self.via_position = zeros(3, 3)
@@ -98,7 +97,7 @@ class PushEpisodes:
             tensor[index] = torch.from_numpy(value).to(self.dtype)
             setattr(self, name, tensor)
         self.via_position = self.via_position.clone()
-        for name in ("distance", "first_distance", "reach", "first_reach", "touched"):
+        for name in ("ways", "first_ways", "touched"):
             setattr(self, name, getattr(self, name).clone())
 
 

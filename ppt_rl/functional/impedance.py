@@ -109,8 +109,9 @@ def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping:
     """
     weighted = jacobian / inertia  # J M^-1
     gram = weighted @ jacobian.mT
-    gram = gram + damping**2 * torch.eye(6, dtype=gram.dtype, device=gram.device)
-    solved = torch.cholesky_solve(weighted @ torque.unsqueeze(-1), torch.linalg.cholesky(gram))
+    gram.diagonal(dim1=-2, dim2=-1).add_(damping**2)
+    factor, _ = torch.linalg.cholesky_ex(gram)  # positive definite by construction: no check, no synchronisation
+    solved = torch.cholesky_solve(weighted @ torque.unsqueeze(-1), factor)
     return torque - (jacobian.mT @ solved).squeeze(-1)
 
 

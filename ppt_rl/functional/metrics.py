@@ -18,7 +18,9 @@ __all__ = ["MEMORY_SIZE", "METRICS", "MetricsConfig", "begin_metrics", "summaris
 #: Names of the summary, in order.
 METRICS = ("max_power", "max_power_measured", "jerk_rms", "wrench_p95", "overload_ratio", "contact_continuity")
 
-_COUNT, _POWER, _MEASURED, _OVERLOAD, _CONTACT, _FIRST, _LAST, _JERK = range(8)
+# Sums, then maxima, then first and last contact, then the filter, then the last two velocities, then the histogram.
+_COUNT, _OVERLOAD, _CONTACT, _JERK, _POWER, _MEASURED, _FIRST, _LAST = range(8)
+_SUMS, _MAXIMA = slice(0, 4), slice(4, 6)
 _Z1, _Z2, _V1, _V2 = slice(8, 14), slice(14, 20), slice(20, 23), slice(23, 26)
 _BINS = 256
 _HISTOGRAM = slice(26, 26 + _BINS)
@@ -58,6 +60,11 @@ class MetricsConfig:
         b, a = signal.butter(2, self.cutoff, fs=1.0 / self.dt)
         return float(b[0]), float(b[1]), float(b[2]), float(a[1]), float(a[2])
 
+    @cached_property
+    def bin_edges(self) -> Tensor:
+        """Upper edges of all bins but the last [N]."""
+        return _FLOOR * 10.0 ** (torch.arange(1, _BINS, dtype=torch.float64) * (_DECADES / _BINS))
+
 
 def begin_metrics(twist: Tensor, wrench: Tensor, config: MetricsConfig) -> Tensor:
     """Memory at the start of an episode: the filters rest at the first reading.
@@ -93,29 +100,25 @@ def update_metrics(memory: Tensor, twist: Tensor, wrench: Tensor, power: Tensor,
     Returns:
         ``(*B, MEMORY_SIZE)`` new memory; the old one is left alone.
     """
-    new = memory.clone()
-    x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
     b0, b1, b2, a1, a2 = config.filter
-    y = b0 * x + memory[..., _Z1]
-    new[..., _Z1] = b1 * x - a1 * y + memory[..., _Z2]
-    new[..., _Z2] = b2 * x - a2 * y
-    velocity, force = y[..., :3], y[..., 3:].norm(dim=-1)
-    jerk = (velocity - 2 * memory[..., _V1] + memory[..., _V2]) / config.dt**2  # [m/s^3]
-    new[..., _V2], new[..., _V1] = memory[..., _V1], velocity
-    new[..., _JERK] += jerk.square().sum(-1)
-    measured = (twist * wrench).sum(-1).abs()  # [W]
-    new[..., _POWER] = torch.maximum(memory[..., _POWER], power.squeeze(-1).abs())
-    new[..., _MEASURED] = torch.maximum(memory[..., _MEASURED], measured)
-    new[..., _OVERLOAD] += measured > config.p_max
+    x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
+    y = torch.add(memory[..., _Z1], x, alpha=b0)
+    z1 = memory[..., _Z2].add(x, alpha=b1).add_(y, alpha=-a1)
+    z2 = (b2 * x).add_(y, alpha=-a2)
+    velocity, force = y[..., :3], torch.linalg.vector_norm(y[..., 3:], dim=-1, keepdim=True)
+    v1 = memory[..., _V1]
+    jerk = torch.add(velocity, v1, alpha=-2).add_(memory[..., _V2]) / config.dt**2  # [m/s^3]
+    measured = (twist * wrench).sum(-1, keepdim=True).abs()  # [W]
     contact = force > config.contact_force
-    count = memory[..., _COUNT]
-    new[..., _CONTACT] += contact
-    new[..., _FIRST] = torch.where(contact & (memory[..., _FIRST] < 0), count, memory[..., _FIRST])
-    new[..., _LAST] = torch.where(contact, count, memory[..., _LAST])
-    new[..., _COUNT] += 1
-    index = ((force / _FLOOR).clamp_min(1.0).log10() * (_BINS / _DECADES)).long().clamp_max(_BINS - 1)
-    new[..., _HISTOGRAM].scatter_add_(-1, index.unsqueeze(-1), torch.ones_like(force).unsqueeze(-1))
-    return new
+    count, first, last = memory[..., :1], memory[..., _FIRST : _FIRST + 1], memory[..., _LAST:8]
+    first = torch.where(contact & (first < 0), count, first)
+    last = torch.where(contact, count, last)
+    flags = torch.cat([torch.ones_like(contact), measured > config.p_max, contact], -1).to(x.dtype)
+    sums = memory[..., _SUMS] + torch.cat([flags, jerk.square_().sum(-1, keepdim=True)], -1)
+    maxima = torch.maximum(memory[..., _MAXIMA], torch.cat([power.abs(), measured], -1))
+    index = torch.bucketize(force, config.bin_edges.to(force), right=True)
+    histogram = memory[..., _HISTOGRAM].scatter_add(-1, index, torch.ones_like(force))
+    return torch.cat([sums, maxima, first, last, z1, z2, velocity, v1, histogram], -1)
 
 
 def summarise_metrics(memory: Tensor) -> dict[str, Tensor]:

@@ -44,7 +44,7 @@ class PPOConfig:
         checkpoint_every: batches between checkpoints.
     """
 
-    total_control_steps: int = 2_304_000
+    total_control_steps: int = 1_536_000
     epochs: int = 8
     minibatches: int = 4
     learning_rate: float = 3e-4

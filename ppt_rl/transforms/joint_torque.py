@@ -24,8 +24,9 @@ class JointTorqueTransform(ActionTransform):
 
     .. math:: \tau = J^\top \lambda + N\,\big(k_q (q_0 - q) - d_q \dot q\big)
 
-    with ``N`` the nullspace projection: the posture term does not push the end effector. It also writes the commanded
-    ``power`` ``wrench . twist`` ``(*B, 1)`` [W] as an observation, positive when energy leaves the robot.
+    with ``N`` the nullspace projection: the posture term moves the arm, not the end effector (at rest a few percent of
+    it leak through, since the projection is damped and its inertia diagonal). It also writes the commanded ``power``
+    ``wrench . twist`` ``(*B, 1)`` [W] as an observation, positive when energy leaves the robot.
 
     Args:
         kinematics: Jacobian of the arm at the end-effector point.

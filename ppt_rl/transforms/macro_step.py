@@ -68,7 +68,7 @@ class MacroStepTransform(ActionTransform):
             raise RuntimeError("MacroStepTransform steps an environment and has none; append it to a TransformedEnv.")
         chunk = self._checked_chunk(tensordict)
         steps = chunk.unbind(tensordict.ndim)
-        sum_keys = self._sum_keys()
+        sum_keys, state_keys = self._sum_keys(), parent.state_keys
         alive = self._stepping(tensordict)  # None: every row
         frozen: TensorDictBase | None = None
         memory = _Memory(tensordict, sum_keys, self.trace_keys)
@@ -85,7 +85,7 @@ class MacroStepTransform(ActionTransform):
                 alive = ~done if alive is None else alive & ~done
                 if not bool(alive.any()):
                     break
-            current = _carried(current, following, parent.state_keys)
+            current = _carried(current, following if alive is None else following.copy(), state_keys)
         if current is not tensordict:
             tensordict.update(current)
         tensordict.set(self.action_key, steps[-1])
@@ -197,7 +197,8 @@ class _Memory:
     def add(self, following: TensorDictBase, alive: Tensor | None, discount: float) -> None:
         """Add one control step in the rows that are alive."""
         for key, total in self.total.items():
-            value = _masked(following.get(key), alive) * self.factor
+            value = _masked(following.get(key), alive)
+            value = value if self.factor == 1.0 else value * self.factor
             self.total[key] = value if total is None else total + value
         for key, values in self.trace.items():
             values.append(_masked(following.get(key), alive))
@@ -212,13 +213,12 @@ class _Memory:
 
 def _carried(current: TensorDictBase, following: TensorDictBase, state_keys: Sequence[NestedKey]) -> TensorDictBase:
     """Root of the next control step: what the last one returned, and the state that it did not return."""
-    root = following.clone(recurse=False)
     for key in state_keys:
-        if root.get(key, None) is None:
+        if following.get(key, None) is None:
             value = current.get(key, None)
             if value is not None:
-                root.set(key, value)
-    return root
+                following.set(key, value)
+    return following
 
 
 def _masked(value: Tensor, alive: Tensor | None) -> Tensor:

@@ -70,7 +70,7 @@ class ThreadedPhysics:
         after = states[:, -1]
         # MuJoCo resets a state that blows up, and its clock with it: then the time is not what it should be.
         late = np.abs(after[:, 0] - before[:, 0] - self.substeps * self._dt) > 0.5 * self._dt
-        diverged = late | ~np.isfinite(after).all(-1) | ~np.isfinite(sensors).all((-1, -2))
+        diverged = late | ~np.isfinite(after).all(-1) | ~np.isfinite(sensors[:, -1]).all(-1)
         if diverged.any():
             after = np.where(diverged[:, None], before, after)
         if rows is None:
