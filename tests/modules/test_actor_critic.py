@@ -86,7 +86,7 @@ def test_input_norm_standardises_the_data_it_was_fitted_to():
     norm.fit(data["pose"], data["twist"])
     x = norm(data["pose"], data["twist"])
     assert_close(x.mean(0), torch.zeros(13), rtol=0.0, atol=1e-4)
-    assert_close(x.std(0), torch.ones(13), rtol=0.0, atol=1e-4)
+    assert_close(x.std(0, correction=0), torch.ones(13), rtol=0.0, atol=1e-4)
 
 
 def test_input_norm_is_the_identity_before_it_is_fitted():
@@ -123,7 +123,7 @@ def test_fit_input_norm_sets_the_statistics_and_a_checkpoint_carries_them(module
     (loc,) = (value for key, value in state.items() if key.endswith("norm.loc"))
     (scale,) = (value for key, value in state.items() if key.endswith("norm.scale"))
     assert_close(loc, x.mean(0))
-    assert_close(scale, x.std(0))
+    assert_close(scale, x.std(0, correction=0))
 
 
 def test_inputs_are_read_in_the_order_of_the_keys():
