@@ -15,7 +15,7 @@ PUSH_BOX = "box"
 
 def _add_looks(root: Any) -> None:
     visual = root.visual
-    visual.headlight.ambient, visual.headlight.diffuse = [0.35, 0.35, 0.35], [0.35, 0.35, 0.35]
+    visual.headlight.ambient, visual.headlight.diffuse = [0.33, 0.33, 0.33], [0.18, 0.18, 0.18]
     visual.headlight.specular = [0.1, 0.1, 0.1]
     visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
     getattr(visual, "global").offwidth, getattr(visual, "global").offheight = 1280, 960
@@ -27,7 +27,7 @@ def _add_looks(root: Any) -> None:
         "light",
         pos=[0.3, -0.6, 1.8],
         dir=[0.1, 0.35, -1],
-        diffuse=[0.55, 0.55, 0.55],
+        diffuse=[0.5, 0.5, 0.5],
         castshadow=True,
         type="directional",
     )
