@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -187,9 +188,8 @@ def train_ppo(
             if counters["batches"] % config.checkpoint_every == 0:
                 path = _save(run_dir, components, counters, variant, run_config, success)
     except KeyboardInterrupt:
-        bar.write(
-            f"Interrupted after {counters['control_steps']} control steps; a checkpoint is written. Go on by --resume."
-        )
+        steps = counters["control_steps"]
+        bar.write(f"Interrupted after {steps} control steps; a checkpoint is written. Go on by --resume.", sys.stderr)
         raise
     finally:
         path = _save(run_dir, components, counters, variant, run_config, success)
