@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -171,8 +173,9 @@ def train_ppo(
     success, path = 0.0, None
     batches = iter(collector)
     started = time.perf_counter() - counters["seconds"]
+    interrupt = _Interrupt()
     try:
-        while counters["control_steps"] < config.total_control_steps:
+        while counters["control_steps"] < config.total_control_steps and not interrupt.asked:
             batch = next(batches)
             scalars = batch_statistics(batch) | learner.update(batch)
             success = scalars["success"]
@@ -187,16 +190,36 @@ def train_ppo(
                 on_batch(counters["batches"], scalars)
             if counters["batches"] % config.checkpoint_every == 0:
                 path = _save(run_dir, components, counters, variant, run_config, success)
-    except KeyboardInterrupt:
-        steps = counters["control_steps"]
-        bar.write(f"Interrupted after {steps} control steps; a checkpoint is written. Go on by --resume.", sys.stderr)
-        raise
     finally:
         path = _save(run_dir, components, counters, variant, run_config, success)
         bar.close()
         logs.close()
         collector.shutdown()
+        interrupt.restore()
+    if interrupt.asked:
+        raise KeyboardInterrupt
     return path
+
+
+class _Interrupt:
+    """Turns the first Ctrl-C into a request that a loop can ask for; the second one interrupts at once."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        main = threading.current_thread() is threading.main_thread()
+        self._old = signal.signal(signal.SIGINT, self._ask) if main else None
+
+    def _ask(self, number: int, frame: object) -> None:
+        if self.asked:
+            raise KeyboardInterrupt
+        self.asked = True
+        message = "\nInterrupted: the batch is finished and a checkpoint written, then go on by --resume.\n"
+        sys.stderr.write(message)
+
+    def restore(self) -> None:
+        """Give Ctrl-C back."""
+        if self._old is not None:
+            signal.signal(signal.SIGINT, self._old)
 
 
 def _save(
