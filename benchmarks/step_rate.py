@@ -1,7 +1,7 @@
 """Control steps a second: MuJoCo alone, the environment, the full chain, and the collector with the policy.
 
 All four run in one process on the same models, from the same episodes, with the same substeps and threads, in turn;
-medians are compared. ``python benchmarks/step_rate.py --num-envs 128 --threads 2 --json``
+a ratio is the median over the repeats, each against MuJoCo alone right before and right after. ``python benchmarks/step_rate.py --num-envs 128 --threads 2 --json``
 """
 
 from __future__ import annotations
@@ -111,27 +111,39 @@ def measure(run: Config) -> dict[str, float]:
     def chain() -> None:
         env.step(tensordict)
 
-    times: dict[str, list[float]] = {"raw": [], "base": [], "chain": [], "collector": []}
-    next(batches)
-    for _ in range(run.repeats):
-        restart()
-        times["raw"].append(_timed(raw))
-        restart()
-        times["base"].append(_timed(environment))
+    def prepare_chain() -> None:
+        nonlocal tensordict
         env.set_seed(1)
         tensordict = actor(env.reset())
-        times["chain"].append(_timed(chain))
+
+    def prepare_collector() -> None:
         env.set_seed(1)
         collector.reset()
-        times["collector"].append(_timed(lambda: next(batches)))
+
+    kinds: dict[str, tuple[Callable[[], None], Callable[[], Any]]] = {
+        "base": (restart, environment),
+        "chain": (prepare_chain, chain),
+        "collector": (prepare_collector, lambda: next(batches)),
+    }
+    next(batches)
+    times: dict[str, list[float]] = {name: [] for name in ("raw", *kinds)}
+    ratios: dict[str, list[float]] = {name: [] for name in kinds}
+    restart()
+    times["raw"].append(_timed(raw))
+    for _ in range(run.repeats):
+        for name, (prepare, act) in kinds.items():
+            prepare()
+            times[name].append(_timed(act))
+            restart()
+            times["raw"].append(_timed(raw))
+            # The machine's speed drifts, so each run is held against MuJoCo alone just before and just after it.
+            ratios[name].append(statistics.fmean(times["raw"][-2:]) / times[name][-1])
     if not bool((env.step(actor(env.reset()))["next", "control_steps"] == base.horizon).all()):
         raise RuntimeError("an episode ended early, so the four runs did not do the same work; take another seed.")
     steps = run.num_envs * base.horizon
     rates = {name: steps / statistics.median(values) for name, values in times.items()}
     result = {f"rate_{name}": rate for name, rate in rates.items()}
-    result |= {f"ratio_{name}": rates[name] / rates["raw"] for name in ("base", "chain", "collector")}
-    paired = {name: [r / t for r, t in zip(times["raw"], times[name], strict=True)] for name in ("chain", "collector")}
-    result |= {f"paired_{name}": statistics.median(values) for name, values in paired.items()}
+    result |= {f"ratio_{name}": statistics.median(values) for name, values in ratios.items()}
     return result | {"memory_per_env_mib": memory, "num_envs": run.num_envs, "threads": run.threads}
 
 

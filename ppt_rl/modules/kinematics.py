@@ -27,21 +27,30 @@ def _turn_z(angle: float) -> Tensor:
     return torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
 
 
-def _panda_chain(tool_length: float) -> pk.SerialChain:
+def _joint_offsets(tool_length: float) -> Tensor:
+    """``(8, 4, 4)`` poses of the seven joints and of the end-effector point, each in the frame before it."""
+    offsets = torch.eye(4, dtype=torch.float64).repeat(8, 1, 1)
+    for offset, (a, d, alpha) in zip(offsets, DH, strict=False):
+        offset[:3, :3] = _turn_x(alpha)
+        offset[:3, 3] = torch.tensor([a, -math.sin(alpha) * d, math.cos(alpha) * d], dtype=torch.float64)
+    length, turn = FLANGE
+    offsets[7, :3, :3] = _turn_z(turn)
+    offsets[7, 2, 3] = length + tool_length
+    return offsets
+
+
+def _panda_chain(offsets: Tensor) -> pk.SerialChain:
     """Serial chain of the seven joints and the tool, through the Frame, Link and Joint classes."""
     f64 = torch.float64
     base = Frame("base", link=Link("base"), joint=Joint("base_fixed", dtype=f64))
     parent = base
-    for i, (a, d, alpha) in enumerate(DH, start=1):
-        position = torch.tensor([a, -math.sin(alpha) * d, math.cos(alpha) * d], dtype=f64)
-        offset = pk.Transform3d(rot=_turn_x(alpha), pos=position, dtype=f64)
+    *joints, tip = (pk.Transform3d(matrix=offset, dtype=f64) for offset in offsets)
+    for i, offset in enumerate(joints, start=1):
         limits = (JOINT_LIMITS[i - 1].low, JOINT_LIMITS[i - 1].high)
         joint = Joint(f"joint{i}", offset, "revolute", (0.0, 0.0, 1.0), dtype=f64, limits=limits)
         child = Frame(f"link{i}", link=Link(f"link{i}"), joint=joint)
         parent.add_child(child)
         parent = child
-    length, turn = FLANGE
-    tip = pk.Transform3d(rot=_turn_z(turn), pos=torch.tensor([0.0, 0.0, length + tool_length], dtype=f64), dtype=f64)
     parent.add_child(Frame("tool", link=Link("tool"), joint=Joint("tool_fixed", tip, "fixed", dtype=f64)))
     return pk.SerialChain(pk.Chain(base, dtype=f64), "tool", dtype=f64)
 
@@ -67,15 +76,15 @@ class PandaKinematics(nn.Module):
     def __init__(self, tool_length: float, dtype: torch.dtype = torch.float32) -> None:
         super().__init__()
         self.tool_length = float(tool_length)
-        self._chain = _panda_chain(self.tool_length).to(dtype=dtype)
-        # Follows `.to()` so that the chain, which is no nn.Module, can follow it too.
+        # Follows `.to()` so that the constants, exact in float64, can follow it too.
         self.register_buffer("_anchor", torch.zeros((), dtype=dtype), persistent=False)
+        self._build()
 
-    def _synchronised_chain(self) -> pk.SerialChain:
-        anchor = self._anchor
-        if self._chain.dtype != anchor.dtype or self._chain.device != anchor.device:
-            self._chain = _panda_chain(self.tool_length).to(dtype=anchor.dtype, device=anchor.device)
-        return self._chain
+    def _build(self) -> None:
+        """Chain and offsets in the precision and on the device of the anchor."""
+        offsets = _joint_offsets(self.tool_length)
+        self._chain = _panda_chain(offsets).to(dtype=self._anchor.dtype, device=self._anchor.device)
+        self._offsets = offsets.to(self._anchor)
 
     def forward(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
         """Pose and Jacobian together.
@@ -143,10 +152,28 @@ class PandaKinematics(nn.Module):
 
     def _jacobian_and_matrix(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
         require_last_dim("joint_position", joint_position, 7)
-        chain = self._synchronised_chain()
+        if self._offsets.dtype != self._anchor.dtype or self._offsets.device != self._anchor.device:
+            self._build()
         batch = joint_position.shape[:-1]
-        flat = joint_position.reshape(-1, 7).to(self._anchor.dtype)
-        # The analytical-gradient path of pytorch-kinematics has a wrong double backward; plain autograd is right.
-        transforms = chain.forward_kinematics_tensor(flat, analytical_grad=False)
-        jacobian, matrix = chain.jacobian_tensor(flat, ret_eef_pose=True, all_transforms=transforms)
+        frames = self._frames(joint_position.reshape(-1, 7).to(self._anchor.dtype))
+        jacobian, matrix = self._chain.jacobian_tensor(None, ret_eef_pose=True, all_transforms=frames)
         return jacobian.reshape(*batch, 6, 7), matrix.reshape(*batch, 4, 4)
+
+    def _frames(self, joint_position: Tensor) -> Tensor:
+        """``(9, B, 4, 4)`` poses of base, seven links and tool in world, the order of the chain.
+
+        The product along the chain is written out for seven joints about z: the chain's own forward kinematics walks a
+        general tree frame by frame, at four times the cost, and its analytical gradient has a wrong double backward.
+        """
+        batch = len(joint_position)
+        angle = joint_position.mT.unsqueeze(-1)  # (7, B, 1)
+        cos, sin = angle.cos(), angle.sin()
+        x, y, z, origin = self._offsets[:7].unsqueeze(1).unbind(-1)  # (7, 1, 4) each
+        columns = [cos * x + sin * y, cos * y - sin * x, z.expand(7, batch, 4), origin.expand(7, batch, 4)]
+        base = torch.eye(4, dtype=angle.dtype, device=angle.device).expand(batch, 4, 4)
+        first, *others = torch.stack(columns, -1).unbind(0)
+        frames = [base, first]
+        for offset in others:
+            frames.append(frames[-1] @ offset)
+        frames.append(frames[-1] @ self._offsets[7])
+        return torch.stack(frames)
