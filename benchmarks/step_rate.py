@@ -1,7 +1,8 @@
 """Control steps a second: MuJoCo alone, the environment, the full chain, and the collector with the policy.
 
 All four run in one process on the same models, from the same episodes, with the same substeps and threads, in turn;
-a ratio is the median over the repeats, each against MuJoCo alone right before and right after. ``python benchmarks/step_rate.py --num-envs 128 --threads 2 --json``
+a ratio is the median over the repeats, each against MuJoCo alone right before and right after.
+``python benchmarks/step_rate.py --num-envs 128 --threads 2 --json``
 """
 
 from __future__ import annotations
@@ -67,9 +68,9 @@ def measure(run: Config) -> dict[str, float]:
 
     torch.set_num_threads(run.torch_threads)
     config = replace(recipe.Config(), num_envs=run.num_envs, num_threads=run.threads, duration=run.seconds, seed=1)
-    promp = fit_push_prior(recipe.blank_promp(config), num_demonstrations=64)
+    promp = fit_push_prior(recipe.make_modules(config)["promp"], num_demonstrations=64)
     before = _peak_memory()
-    env = recipe.make_env(config, promp, trace=())
+    env = recipe.make_env(config, promp)
     actor, _ = recipe.make_policy(config, env)
     base, engine = env.base_env, env.base_env.engine
     env.reset()

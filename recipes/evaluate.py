@@ -6,41 +6,33 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import torch
 import tyro
+from registry import Policy, load_policy
 from tensordict import TensorDictBase
-from torch import nn
-from torchrl.envs import ExcludeTransform, TransformedEnv
 
 from ppt_rl.training import (
+    POWER_AND_WORK,
     REPORTED,
-    CheckpointMismatch,
-    PPOConfig,
-    checkpoint_info,
-    find_checkpoint,
-    load_checkpoint,
+    ZeroPolicy,
+    distribution,
+    record_episodes,
     run_cli,
     run_episodes,
     summarise,
 )
-from ppt_rl.training.evaluation import ZeroPolicy, record_episodes
 from ppt_rl.training.logs import write_text_atomically
 from ppt_rl.training.plots import plot_push_episode, plot_training
 from ppt_rl.training.video import push_frames, write_video
 
-#: Variants and the recipes that build their chains.
-RECIPES = {"ppt_push": "ppo_ppt_push"}
-#: Observations that exist in simulation only; no evaluated policy sees them.
-PRIVILEGED = ("box_pose",)
-_TRACE = ("joint_position", "pose", "box_pose", "power", "tank_energy", "valve")
+_TRACE = ("joint_position", "pose", "box_pose", "power")
 
 
 @dataclass(frozen=True)
@@ -48,7 +40,7 @@ class Config:
     """Evaluate a checkpoint: means with 95 % intervals of every metric.
 
     Attributes:
-        checkpoint: a checkpoint, or the directory of a run for its newest one.
+        checkpoint: a checkpoint, the directory of a run for its newest one, or a published policy.
         episodes: fresh episodes for each table row.
         seed: of the episodes; training uses small seeds.
         num_envs: environments that step together.
@@ -76,33 +68,6 @@ class Config:
     report: Path | None = None
 
 
-def load_policy(path: Path) -> tuple[Any, Any, nn.Module, nn.Module]:
-    """Recipe, its configuration, movement primitive and actor of a checkpoint."""
-    info = checkpoint_info(path)
-    if info["variant"] not in RECIPES:
-        raise CheckpointMismatch(f"{path} is of variant {info['variant']!r}; expected one of {sorted(RECIPES)}.")
-    recipe = importlib.import_module(RECIPES[info["variant"]])
-    settings = dict(info["config"])
-    settings["ppo"] = PPOConfig(**settings["ppo"])
-    settings["box_sizes"] = tuple(settings["box_sizes"])
-    known = {field.name for field in fields(recipe.Config)}
-    config = recipe.Config(**{name: value for name, value in settings.items() if name in known})
-    promp = recipe.blank_promp(config)
-    actor, _ = recipe.make_policy(config, recipe.make_env(config, promp, num_envs=1))
-    load_checkpoint(path, {"actor": actor, "promp": promp})
-    return recipe, config, promp, actor
-
-
-def make_test_env(
-    recipe: Any, config: Any, promp: nn.Module, run: Config, boxes: tuple[float, ...], trace: tuple[str, ...] = ()
-) -> TransformedEnv:
-    """The recipe's chain without privileged observations."""
-    config = replace(config, box_sizes=boxes, num_threads=run.num_threads)
-    count = min(run.num_envs, run.episodes)
-    env = recipe.make_env(config, promp, num_envs=count, seed=run.seed, trace=trace)
-    return env.append_transform(ExcludeTransform(*PRIVILEGED))
-
-
 def table(rows: dict[str, dict[str, Any]]) -> str:
     """Markdown table of means and intervals."""
     head = "| | " + " | ".join(f"{name} [{unit}]" for name, unit in REPORTED.items()) + " |"
@@ -115,30 +80,61 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
 
 def main(run: Config) -> None:
     """Evaluate and report."""
-    path = find_checkpoint(run.checkpoint)
-    recipe, config, promp, actor = load_policy(path)
-    boxes = run.box_sizes or config.box_sizes
+    policy = load_policy(run.checkpoint)
+    boxes = run.box_sizes or policy.config.box_sizes
     groups = [boxes] + [(size,) for size in boxes if run.per_box and len(boxes) > 1]
-    policies = {recipe.VARIANT: actor} | ({"reference alone": ZeroPolicy(actor)} if run.baseline else {})
-    summaries: dict[str, dict[str, Any]] = {}
-    episodes: list[dict[str, Any]] = []
+    actors: dict[str, Any] = {policy.variant: policy.actor}
+    if run.baseline:
+        if not policy.modules:
+            raise ValueError(f"{policy.variant} has no reference to run alone; leave --baseline out.")
+        actors["reference alone"] = ZeroPolicy(policy.actor)
+    results: dict[str, dict[str, np.ndarray]] = {}
     for group in groups:
-        for name, policy in policies.items():
-            env = make_test_env(recipe, config, promp, run, group)
-            rows = run_episodes(env, policy, run.episodes)
+        for name, actor in actors.items():
+            env = policy.make_env(
+                num_envs=min(run.num_envs, run.episodes),
+                seed=run.seed,
+                audit=True,
+                box_sizes=group,
+                num_threads=run.num_threads,
+            )
             label = f"{name}, box {' and '.join(f'{100 * size:.0f}' for size in group)} cm"
-            summaries[label] = summarise(rows)
-            episodes += [{"row": label, **{k: float(v[i]) for k, v in rows.items()}} for i in range(run.episodes)]
+            results[label] = run_episodes(env, actor, run.episodes)
             env.close()
-    text = table(summaries)
-    print(f"{path}, {run.episodes} episodes a row, seed {run.seed}; mean (95 % interval)\n\n{text}\n")
-    if run.report is not None:
-        write_text_atomically(run.report / "evaluation.md", text + "\n")
-        write_text_atomically(run.report / "evaluation.json", json.dumps(summaries, indent=2) + "\n")
-        write_text_atomically(run.report / "episodes.csv", as_csv(episodes))
-    draw(run, path, recipe, config, promp, actor)
+    report(run, results)
+    draw(run, policy, boxes)
     if run.json:
-        print(json.dumps(next(iter(summaries.values()))))
+        print(json.dumps(summarise(next(iter(results.values())))))
+
+
+def report(run: Config, results: dict[str, dict[str, np.ndarray]]) -> None:
+    """Print the tables; write them and every episode, where asked for."""
+    summaries = {label: summarise(rows) for label, rows in results.items()}
+    audits = {label: distribution(rows) for label, rows in results.items()}
+    metrics, power = table(summaries), audit_table(audits)
+    print(f"{run.checkpoint}, {run.episodes} episodes a row, seed {run.seed}; mean (95 % interval)\n\n{metrics}\n")
+    print(f"Power and work at control rate, and audited over every physics substep; mean / P95 / max\n\n{power}\n")
+    if run.report is None:
+        return
+    episodes = [
+        {"row": label, **{name: float(values[i]) for name, values in rows.items()}}
+        for label, rows in results.items()
+        for i in range(run.episodes)
+    ]
+    write_text_atomically(run.report / "evaluation.md", f"{metrics}\n\n{power}\n")
+    write_text_atomically(run.report / "evaluation.json", json.dumps(summaries, indent=2) + "\n")
+    write_text_atomically(run.report / "audit.json", json.dumps(audits, indent=2) + "\n")
+    write_text_atomically(run.report / "episodes.csv", as_csv(episodes))
+
+
+def audit_table(audits: dict[str, dict[str, dict[str, float]]]) -> str:
+    """Markdown table of means, 95th percentiles and maxima."""
+    lines = ["| | " + " | ".join(f"{name} [{unit}]" for name, unit in POWER_AND_WORK.items()) + " |"]
+    lines.append("|---" * (len(POWER_AND_WORK) + 1) + "|")
+    for label, audit in audits.items():
+        cells = [f"{a['mean']:.3f} / {a['p95']:.3f} / {a['max']:.3f}" for a in audit.values()]
+        lines.append(f"| {label} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 def as_csv(rows: list[dict[str, Any]]) -> str:
@@ -150,22 +146,24 @@ def as_csv(rows: list[dict[str, Any]]) -> str:
     return buffer.getvalue()
 
 
-def draw(run: Config, path: Path, recipe: Any, config: Any, promp: nn.Module, actor: nn.Module) -> None:
+def draw(run: Config, policy: Policy, boxes: tuple[float, ...]) -> None:
     """Plots and video, where asked for."""
     plots = run.plots or run.report
     video = run.video or (run.report / "push.mp4" if run.report is not None else None)
     if plots is None and video is None:
         return
-    few = replace(run, episodes=4, num_envs=4)
-    env = make_test_env(recipe, config, promp, few, run.box_sizes or config.box_sizes, trace=_TRACE)
-    recorded = record_episodes(env, actor)
+    config = policy.config
+    env = policy.make_env(num_envs=4, seed=run.seed, privileged=True, box_sizes=boxes, num_threads=run.num_threads)
+    tank = ("tank_energy", "valve") if "tank_energy" in env.observation_spec.keys() else ()
+    recorded = record_episodes(env, policy.actor, (*_TRACE, *tank))
     if plots is not None:
+        e_max = config.e_max if tank else None
         plot_push_episode(
-            as_arrays(recorded[0]), plots / "episode.png", p_max=config.p_max, e_max=config.e_max, dt=config.control_dt
+            as_arrays(recorded[0]), plots / "episode.png", p_max=config.p_max, e_max=e_max, dt=config.control_dt
         )
-        run_dir = path.parent.parent
+        run_dir = run.checkpoint if run.checkpoint.is_dir() else run.checkpoint.parent.parent
         if (run_dir / "logs").exists():
-            plot_training(run_dir, plots / "training.png", p_max=config.p_max)
+            plot_training(run_dir, plots / "training.png", p_max=config.p_max if tank else None)
         print(f"plots in {plots}")
     if video is not None:
         every = 4
@@ -180,7 +178,7 @@ def draw(run: Config, path: Path, recipe: Any, config: Any, promp: nn.Module, ac
 
 def as_arrays(episode: TensorDictBase) -> dict[str, np.ndarray]:
     """What the figure of an episode needs."""
-    arrays = {key: episode["trace", key].double().numpy() for key in _TRACE}
+    arrays = {key: value.double().numpy() for key, value in episode["trace"].items()}
     return arrays | {key: episode[key].double().numpy() for key in ("goal", "box_size", "via_position")}
 
 

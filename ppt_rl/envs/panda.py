@@ -12,11 +12,12 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite
 from torchrl.envs import EnvBase
 
+from ppt_rl.envs.audit import AUDITED, AuditedPhysics
 from ppt_rl.envs.models import PADDLE, Tool, remove_visual_geoms, table_scene
 from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.envs.physics import ThreadedPhysics, substeps_per_control_step
 from ppt_rl.envs.readings import ArmReadings
-from ppt_rl.envs.rendering import SceneRenderer, require_rendering
+from ppt_rl.envs.rendering import RenderedScenes
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.functional.checks import require_finite, require_positive
 from ppt_rl.modules.kinematics import PandaKinematics
@@ -27,7 +28,7 @@ __all__ = ["PandaEnv"]
 Rows = NDArray[np.int64]
 
 
-class PandaEnv(EnvBase):
+class PandaEnv(RenderedScenes, EnvBase):
     """Pandas over an empty table: free motion, no task. Tasks are subclasses.
 
     Gravity is compensated, as the real arm does inside. All environments step together (``batch_locked``), on a native
@@ -39,6 +40,9 @@ class PandaEnv(EnvBase):
         ``joint_position`` 7 [rad], ``joint_velocity`` 7 [rad/s], ``pose`` 7 [m, -] and ``twist`` 6 [m/s, rad/s] of the
         end-effector point in world axes, ``wrench`` 6 [N, N m] applied by the robot on the world there, measured at
         the wrist with the tool's weight taken off (its inertia is not), ``diverged`` 1, True where the physics blew up.
+
+    With ``audit``, also the nest ``audit``: ``commanded_work`` and ``measured_work`` [J], ``commanded_power`` and
+    ``measured_power`` (the largest) [W] of the episode so far, over every physics substep (:mod:`ppt_rl.envs.audit`).
 
     An episode is truncated after ``duration`` (a task may end there instead, see ``horizon_terminates``), or at once
     where the physics diverges: that row keeps its last good state, so no NaN reaches a collector.
@@ -52,6 +56,7 @@ class PandaEnv(EnvBase):
         seed: seed of the randomisation; None draws one.
         dtype: precision of what the environment returns.
         device: device of what the environment returns.
+        audit: whether power and work are measured at the rate of the physics.
 
     Raises:
         ValueError: if a number is out of range or the time steps do not divide.
@@ -80,6 +85,7 @@ class PandaEnv(EnvBase):
         seed: int | None = None,
         dtype: torch.dtype = torch.float32,
         device: torch.device | str = "cpu",
+        audit: bool = False,
     ) -> None:
         if isinstance(num_envs, bool) or int(num_envs) != num_envs or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; expected a whole number of at least 1.")
@@ -96,7 +102,9 @@ class PandaEnv(EnvBase):
         root = self._scene()
         remove_visual_geoms(root)
         model = mjcf.Physics.from_mjcf_model(root).model.ptr
-        self.engine = ThreadedPhysics(model, self.num_envs, self.substeps, num_threads)
+        engine = ThreadedPhysics(model, self.num_envs, self.substeps, num_threads)
+        self.audit = audit
+        self.engine: Any = AuditedPhysics(engine, model) if audit else engine
         self._kinematics = PandaKinematics(self.tool_length, dtype=torch.float64)
         self._readings = ArmReadings(model, dtype)
         self._prepare(model)
@@ -104,7 +112,6 @@ class PandaEnv(EnvBase):
         self._elapsed = torch.zeros(self.num_envs, 1, dtype=torch.int64)
         self._diverged = torch.zeros(self.num_envs, 1, dtype=torch.bool)
         self._torque_limit = torch.tensor(TORQUE_LIMITS, dtype=torch.float64)
-        self._rendered: SceneRenderer | None = None
         self._make_specs()
         self.set_seed(seed if seed is not None else int(np.random.SeedSequence().generate_state(1)[0]))
 
@@ -208,56 +215,13 @@ class PandaEnv(EnvBase):
         """
         if not self.is_closed:
             self.engine.close()
-            if self._rendered is not None:
-                self._rendered.physics.free()
+            self._free_renderer()
         super().close(raise_if_closed=raise_if_closed)
 
     @property
     def tool_length(self) -> float:
         """Distance from flange to end-effector point [m]."""
         return self.tool.length
-
-    def physics(self, index: int = 0) -> Any:
-        """A ``dm_control`` Physics with looks, in the state of environment ``index``. The next call reuses it.
-
-        Args:
-            index: environment index.
-
-        Returns:
-            The physics. Changing it does not change the environment.
-
-        Raises:
-            IndexError: if there is no such environment.
-        """
-        if not 0 <= index < self.num_envs:
-            raise IndexError(f"environment {index} of {self.num_envs}; expected 0 to {self.num_envs - 1}.")
-        if self._rendered is None:
-            self._rendered = SceneRenderer(self._scene())
-        self._write_parameters(self._rendered.physics.model.ptr, index)
-        return self._rendered.at(self.engine.state(index))
-
-    def render(
-        self, index: int = 0, *, camera: str = "overview", width: int = 640, height: int = 480
-    ) -> NDArray[np.uint8]:
-        """Picture of one environment, rendered off screen.
-
-        Args:
-            index: environment index.
-            camera: name of a camera of the scene: ``overview``, ``side`` or ``top``.
-            width: [pixels].
-            height: [pixels].
-
-        Returns:
-            ``(height, width, 3)`` RGB image.
-
-        Raises:
-            ValueError: if the scene has no such camera.
-            RuntimeError: if no OpenGL library is found.
-        """
-        require_rendering()
-        self.physics(index)
-        assert self._rendered is not None
-        return self._rendered.picture(camera, width, height)
 
     def _make_specs(self) -> None:
         make = SpecMaker(self.batch_size, self.dtype, self.device)
@@ -266,6 +230,8 @@ class PandaEnv(EnvBase):
             joint_position=real(7), joint_velocity=real(7), pose=real(7), twist=real(6), wrench=real(6), diverged=flag()
         )
         self.observation_spec.update(self._task_spec(make))
+        if self.audit:
+            self.observation_spec["audit"] = make.nest(**{name: real(1) for name in AUDITED})
         limit = torch.tensor(TORQUE_LIMITS, dtype=self.dtype, device=self.device).expand(self.num_envs, 7)
         self.action_spec = Bounded(-limit, limit, shape=limit.shape, dtype=self.dtype, device=self.device)
         self.reward_spec = real(1)
@@ -282,7 +248,11 @@ class PandaEnv(EnvBase):
         return torque.clamp(-self._torque_limit, self._torque_limit)
 
     def _observation(self) -> dict[str, Any]:
-        return self._readings.observe(self._sensors) | {"diverged": self._diverged.clone()}
+        observation: dict[str, Any] = self._readings.observe(self._sensors)
+        observation["diverged"] = self._diverged.clone()
+        if self.audit:
+            observation["audit"] = self.engine.observe(self.dtype)
+        return observation
 
     def _done(self, ended: Tensor) -> dict[str, Tensor]:
         done = ended | self._diverged

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from ppt_rl.envs.mujoco_imports import mjcf, mujoco, rendering_backend
 
-__all__ = ["SceneRenderer", "require_rendering"]
+__all__ = ["RenderedScenes", "SceneRenderer", "require_rendering"]
 
 
 def require_rendering() -> None:
@@ -71,3 +72,62 @@ class SceneRenderer:
         if camera not in cameras:
             raise ValueError(f"camera is {camera!r}; expected one of {cameras}.")
         return self.physics.render(height=height, width=width, camera_id=camera)
+
+
+class RenderedScenes:
+    """What an environment shows of itself: mixed into one that has a scene, an engine and parameters of its own."""
+
+    num_envs: int
+    engine: Any
+    _scene: Callable[[], Any]
+    _write_parameters: Callable[[Any, int], None]
+    _rendered: SceneRenderer | None = None
+
+    def physics(self, index: int = 0) -> Any:
+        """A ``dm_control`` Physics with looks, in the state of environment ``index``. The next call reuses it.
+
+        Args:
+            index: environment index.
+
+        Returns:
+            The physics. Changing it does not change the environment.
+
+        Raises:
+            IndexError: if there is no such environment.
+        """
+        if not 0 <= index < self.num_envs:
+            raise IndexError(f"environment {index} of {self.num_envs}; expected 0 to {self.num_envs - 1}.")
+        return self._renderer(index).at(self.engine.state(index))
+
+    def render(
+        self, index: int = 0, *, camera: str = "overview", width: int = 640, height: int = 480
+    ) -> NDArray[np.uint8]:
+        """Picture of one environment, rendered off screen.
+
+        Args:
+            index: environment index.
+            camera: name of a camera of the scene: ``overview``, ``side`` or ``top``.
+            width: [pixels].
+            height: [pixels].
+
+        Returns:
+            ``(height, width, 3)`` RGB image.
+
+        Raises:
+            ValueError: if the scene has no such camera.
+            RuntimeError: if no OpenGL library is found.
+        """
+        require_rendering()
+        self.physics(index)
+        return self._renderer(index).picture(camera, width, height)
+
+    def _renderer(self, index: int) -> SceneRenderer:
+        """The scene with its looks, with the parameters of environment ``index``."""
+        if self._rendered is None:
+            self._rendered = SceneRenderer(self._scene())
+        self._write_parameters(self._rendered.physics.model.ptr, index)
+        return self._rendered
+
+    def _free_renderer(self) -> None:
+        if self._rendered is not None:
+            self._rendered.physics.free()

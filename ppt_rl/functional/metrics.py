@@ -16,16 +16,18 @@ from torch import Tensor
 __all__ = ["MEMORY_SIZE", "METRICS", "MetricsConfig", "begin_metrics", "summarise_metrics", "update_metrics"]
 
 #: Names of the summary, in order.
-METRICS = ("max_power", "max_power_measured", "jerk_rms", "wrench_p95", "overload_ratio", "contact_continuity")
+METRICS = (
+    "max_power", "max_power_measured", "jerk_rms", "wrench_p95", "overload_ratio", "contact_continuity", "work",
+)  # fmt: skip
 
 # Sums, then maxima, then first and last contact, then the filter, then the last two velocities, then the histogram.
-_COUNT, _OVERLOAD, _CONTACT, _JERK, _POWER, _MEASURED, _FIRST, _LAST = range(8)
-_SUMS, _MAXIMA = slice(0, 4), slice(4, 6)
-_Z1, _Z2, _V1, _V2 = slice(8, 14), slice(14, 20), slice(20, 23), slice(23, 26)
+_COUNT, _OVERLOAD, _CONTACT, _JERK, _WORK, _POWER, _MEASURED, _FIRST, _LAST = range(9)
+_SUMS, _MAXIMA = slice(0, 5), slice(5, 7)
+_Z1, _Z2, _V1, _V2 = slice(9, 15), slice(15, 21), slice(21, 24), slice(24, 27)
 _BINS = 256
-_HISTOGRAM = slice(26, 26 + _BINS)
+_HISTOGRAM = slice(27, 27 + _BINS)
 #: Width of the packed memory.
-MEMORY_SIZE = 26 + _BINS
+MEMORY_SIZE = 27 + _BINS
 #: The histogram's first edge and its range in decades [N]: 256 logarithmic bins, 3.7 % wide.
 _FLOOR, _DECADES = 0.01, 4.0
 
@@ -110,12 +112,13 @@ def update_metrics(memory: Tensor, twist: Tensor, wrench: Tensor, power: Tensor,
     jerk = torch.add(velocity, v1, alpha=-2).add_(memory[..., _V2]) / config.dt**2  # [m/s^3]
     measured = (twist * wrench).sum(-1, keepdim=True).abs()  # [W]
     contact = force > config.contact_force
-    count, first, last = memory[..., :1], memory[..., _FIRST : _FIRST + 1], memory[..., _LAST:8]
+    count, first, last = memory[..., :1], memory[..., _FIRST : _FIRST + 1], memory[..., _LAST : _LAST + 1]
     first = torch.where(contact & (first < 0), count, first)
     last = torch.where(contact, count, last)
     flags = torch.cat([torch.ones_like(contact), measured > config.p_max, contact], -1).to(x.dtype)
-    sums = memory[..., _SUMS] + torch.cat([flags, jerk.square_().sum(-1, keepdim=True)], -1)
-    maxima = torch.maximum(memory[..., _MAXIMA], torch.cat([power.abs(), measured], -1))
+    power = power.abs()  # [W]
+    sums = memory[..., _SUMS] + torch.cat([flags, jerk.square_().sum(-1, keepdim=True), config.dt * power], -1)
+    maxima = torch.maximum(memory[..., _MAXIMA], torch.cat([power, measured], -1))
     index = torch.bucketize(force, config.bin_edges.to(force), right=True)
     histogram = memory[..., _HISTOGRAM].scatter_add(-1, index, torch.ones_like(force))
     return torch.cat([sums, maxima, first, last, z1, z2, velocity, v1, histogram], -1)
@@ -129,7 +132,7 @@ def summarise_metrics(memory: Tensor) -> dict[str, Tensor]:
 
     Returns:
         For each name of :data:`METRICS` a tensor ``(*B, 1)``: max_power and max_power_measured [W], jerk_rms [m/s^3],
-        wrench_p95 [N], overload_ratio and contact_continuity [0-1].
+        wrench_p95 [N], overload_ratio and contact_continuity [0-1], work [J].
     """
     count = memory[..., _COUNT].clamp_min(1.0)
     cumulative = memory[..., _HISTOGRAM].cumsum(-1)
@@ -146,5 +149,6 @@ def summarise_metrics(memory: Tensor) -> dict[str, Tensor]:
         "wrench_p95": p95,
         "overload_ratio": memory[..., _OVERLOAD] / count,
         "contact_continuity": continuity,
+        "work": memory[..., _WORK],
     }
     return {name: value.unsqueeze(-1) for name, value in values.items()}

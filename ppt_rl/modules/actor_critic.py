@@ -30,7 +30,7 @@ class InputNorm(nn.Module):
     loc: Tensor
     scale: Tensor
 
-    def __init__(self, size: int, limit: float = 5.0) -> None:
+    def __init__(self, size: int, limit: float = 10.0) -> None:
         super().__init__()
         self.limit = limit
         self.register_buffer("loc", torch.zeros(size))

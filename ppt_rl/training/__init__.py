@@ -3,25 +3,57 @@
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info, find_checkpoint, load_checkpoint
 from ppt_rl.training.cli import run_cli
 from ppt_rl.training.demonstrations import PUSH_AXES, fit_push_prior
-from ppt_rl.training.evaluation import REPORTED, evaluate, run_episodes, summarise
+from ppt_rl.training.evaluation import (
+    POWER_AND_WORK,
+    REPORTED,
+    ZeroPolicy,
+    distribution,
+    evaluate,
+    record_episodes,
+    run_episodes,
+    summarise,
+)
 from ppt_rl.training.ppo import PPOConfig, train_ppo
+from ppt_rl.training.pretrained import is_pretrained, load_pretrained, pretrained_card, save_pretrained
+from ppt_rl.training.push import (
+    PushConfig,
+    make_push_controller,
+    make_push_env,
+    make_push_policy,
+    push_metrics,
+    seed_everything,
+)
 from ppt_rl.training.recipe import as_json, make_actor_critic, run_recipe
 
 __all__ = [
+    "POWER_AND_WORK",
     "PUSH_AXES",
     "REPORTED",
     "CheckpointMismatch",
     "PPOConfig",
+    "PushConfig",
+    "ZeroPolicy",
     "as_json",
     "checkpoint_info",
+    "distribution",
     "evaluate",
     "find_checkpoint",
     "fit_push_prior",
+    "is_pretrained",
     "load_checkpoint",
+    "load_pretrained",
     "make_actor_critic",
+    "make_push_controller",
+    "make_push_env",
+    "make_push_policy",
+    "pretrained_card",
+    "push_metrics",
+    "record_episodes",
     "run_cli",
     "run_episodes",
     "run_recipe",
+    "save_pretrained",
+    "seed_everything",
     "summarise",
     "train_ppo",
 ]

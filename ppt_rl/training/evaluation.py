@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from scipy import stats
 from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-__all__ = ["REPORTED", "evaluate", "interval", "run_episodes", "summarise"]
+from ppt_rl.transforms.macro_step import MacroStepTransform
+
+__all__ = [
+    "POWER_AND_WORK",
+    "REPORTED",
+    "ZeroPolicy",
+    "distribution",
+    "evaluate",
+    "interval",
+    "record_episodes",
+    "run_episodes",
+    "summarise",
+]
 
 #: Metrics of the report, in order, with their units.
 REPORTED = {
@@ -24,6 +37,17 @@ REPORTED = {
     "overload_ratio": "0-1",
     "contact_continuity": "0-1",
     "progress": "0-1",
+}
+#: Power and work of an audited episode with their units: at control rate, then over every physics substep (``audit_``).
+POWER_AND_WORK = {
+    "max_power": "W",
+    "audit_commanded_power": "W",
+    "max_power_measured": "W",
+    "audit_measured_power": "W",
+    "work": "J",
+    "audit_commanded_work": "J",
+    "work_gap": "-",
+    "audit_measured_work": "J",
 }
 
 
@@ -39,7 +63,8 @@ def run_episodes(env: EnvBase, policy: Any, episodes: int) -> dict[str, np.ndarr
         episodes: how many.
 
     Returns:
-        For each name of :data:`REPORTED`, an array ``(episodes,)``; and ``box_size`` where the task has one.
+        For each metric, ``success`` and ``progress``, an array ``(episodes,)``; ``box_size`` where there is one, and,
+        where it is audited, the rest of :data:`POWER_AND_WORK`.
 
     Raises:
         ValueError: if ``episodes`` is below 1.
@@ -78,6 +103,11 @@ def _episode_values(following: TensorDictBase) -> dict[str, torch.Tensor]:
     values |= {name: following[name].float() for name in ("success", "progress")}
     if "box_size" in following.keys():
         values["box_size"] = following["box_size"]
+    audit = following.get("audit", None)
+    if audit is not None:
+        values |= {f"audit_{name}": audit[name] for name in audit.keys()}
+        booked = values["work"].clamp_min(1e-6)  # [J]
+        values["work_gap"] = (values["audit_commanded_work"] - booked) / booked
     return {name: value.squeeze(-1) for name, value in values.items()}
 
 
@@ -120,6 +150,23 @@ def summarise(rows: dict[str, np.ndarray], names: Iterable[str] = REPORTED) -> d
     return summary
 
 
+def distribution(rows: dict[str, np.ndarray], names: Iterable[str] = POWER_AND_WORK) -> dict[str, dict[str, float]]:
+    """Mean, 95th percentile and maximum over episodes; of a relative gap, those of its size.
+
+    Args:
+        rows: what :func:`run_episodes` returned for an audited environment.
+        names: which quantities.
+
+    Returns:
+        ``{name: {"mean": x, "p95": x, "max": x}}``.
+    """
+    sizes = {name: np.abs(rows[name]) for name in names}
+    return {
+        name: {"mean": float(v.mean()), "p95": float(np.quantile(v, 0.95)), "max": float(v.max())}
+        for name, v in sizes.items()
+    }
+
+
 def evaluate(env: EnvBase, policy: Any, episodes: int) -> dict[str, dict[str, Any]]:
     """Run and summarise: :func:`run_episodes`, then :func:`summarise`.
 
@@ -151,17 +198,21 @@ class ZeroPolicy:
 
 
 @torch.no_grad()
-def record_episodes(env: EnvBase, policy: Any) -> TensorDictBase:
-    """One episode of every environment with the traces of all its control steps.
+def record_episodes(env: EnvBase, policy: Any, keys: Sequence[NestedKey]) -> TensorDictBase:
+    """One episode of every environment with what was observed after each of its control steps.
 
     Args:
-        env: its :class:`~ppt_rl.transforms.MacroStepTransform` has ``trace_keys``.
+        env: with or without a :class:`~ppt_rl.transforms.MacroStepTransform`; its trace is set to ``keys``.
         policy: writes the action; its mean is taken.
+        keys: entries to record.
 
     Returns:
-        The last ``next`` of the episode, ``("trace", key)`` joined over its policy steps to ``(B, T, ...)``, and
-        ``control_steps`` their sum.
+        The last ``next`` of the episode, ``("trace", key)`` ``(B, T, ...)``, and ``control_steps``, their number.
     """
+    macro = next((part for part in env.transform if isinstance(part, MacroStepTransform)), None)
+    if macro is not None:
+        macro.trace_keys = list(keys)
+        env.empty_cache()
     chunks: list[TensorDictBase] = []
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         tensordict = env.reset()
@@ -170,6 +221,9 @@ def record_episodes(env: EnvBase, policy: Any) -> TensorDictBase:
             chunks.append(tensordict["next"])
             tensordict = env.step_mdp(tensordict)
     episode = chunks[-1].clone(recurse=False)
+    if macro is None:
+        trace = {key: torch.stack([chunk[key] for chunk in chunks], 1) for key in keys}
+        return episode.set("trace", trace).set("control_steps", torch.full((*env.batch_size, 1), len(chunks)))
     for key in chunks[0]["trace"].keys(True, True):
         episode.set(("trace", key), torch.cat([chunk["trace", key] for chunk in chunks], 1))
     return episode.set("control_steps", torch.stack([chunk["control_steps"] for chunk in chunks]).sum(0))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torchrl.record.loggers import CSVLogger, TensorboardLogger
 
-__all__ = ["RunLogs", "read_scalar", "save_config", "write_text_atomically"]
+__all__ = ["RunLogs", "read_scalar", "save_config", "versions", "write_bytes_atomically", "write_text_atomically"]
 
 _PACKAGES = ("ppt_rl", "torch", "torchrl", "tensordict", "mujoco", "dm_control", "pytorch_kinematics", "numpy")
 
@@ -82,10 +82,18 @@ def save_config(run_dir: Path, config: Mapping[str, Any]) -> None:
     record = {
         "config": dict(config),
         "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
-        "versions": {name: version(name) for name in _PACKAGES},
-        "python": platform.python_version(),
+        "versions": versions(),
     }
     write_text_atomically(run_dir / "config.json", json.dumps(record, indent=2) + "\n")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide a result.
+
+    Returns:
+        By name.
+    """
+    return {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
 
 
 def write_text_atomically(path: Path, text: str) -> None:
@@ -95,7 +103,17 @@ def write_text_atomically(path: Path, text: str) -> None:
         path: of the file; its directory is made.
         text: what to write.
     """
+    write_bytes_atomically(path, text.encode())
+
+
+def write_bytes_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that it is there whole or not at all.
+
+    Args:
+        path: of the file; its directory is made.
+        data: what to write.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_text(text)
+    draft.write_bytes(data)
     draft.replace(path)

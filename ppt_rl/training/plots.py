@@ -72,36 +72,37 @@ def plot_training(run_dir: Path, path: Path, *, p_max: float | None = None, wind
     _save(figure, path)
 
 
-def plot_push_episode(episode: Mapping[str, Array], path: Path, *, p_max: float, e_max: float, dt: float) -> None:
+def plot_push_episode(
+    episode: Mapping[str, Array], path: Path, *, p_max: float, dt: float, e_max: float | None = None
+) -> None:
     """One pushing episode: the scene from above, and power, tank level and valve over time.
 
     Args:
-        episode: arrays over T control steps: ``pose`` (T, 7), ``box_pose`` (T, 7), ``power`` (T, 1), ``tank_energy``
-            (T, 1), ``valve`` (T, 1); and ``goal`` (2,), ``box_size`` (1,), ``via_position`` (M, 3).
+        episode: arrays over T control steps: ``pose`` (T, 7), ``box_pose`` (T, 7), ``power`` (T, 1), and where there is
+            a tank ``tank_energy`` (T, 1) and ``valve`` (T, 1); and ``goal`` (2,), ``box_size`` (1,), ``via_position``
+            (M, 3).
         path: where the picture goes.
         p_max: power limit [W].
-        e_max: tank capacity [J].
+        e_max: tank capacity [J]; None where there is no tank.
         dt: control step [s].
     """
+    rows = [("power", "power [W]", p_max, "limit")]
+    if e_max is not None:
+        rows += [("tank_energy", "tank level [J]", e_max, "capacity"), ("valve", "valve [-]", 1.0, "open")]
     figure = Figure(figsize=(12, 5.2), layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1))
+    grid = figure.add_gridspec(len(rows), 2, width_ratios=(1.25, 1))
     _draw_scene(figure.add_subplot(grid[:, 0]), episode)
     time = dt * np.arange(1, len(episode["power"]) + 1)
-    rows = (
-        ("power", "power [W]", episode["power"], p_max, "limit"),
-        ("tank_energy", "tank level [J]", episode["tank_energy"], e_max, "capacity"),
-        ("valve", "valve [-]", episode["valve"], 1.0, "open"),
-    )
-    for row, (_, label, values, limit, name) in enumerate(rows):
+    for row, (key, label, limit, name) in enumerate(rows):
+        values = episode[key]
         axes = figure.add_subplot(grid[row, 1])
         axes.plot(time, values[:, 0], color=_BLUE, lw=1.8)
         axes.axhline(limit, color=_ORANGE, ls="--", lw=1.2, label=name)
         axes.set_ylabel(label)
-        low = min(0.0, float(values.min()))
-        axes.set_ylim(1.1 * low, 1.12 * limit)
+        axes.set_ylim(1.1 * min(0.0, float(values.min())), 1.12 * max(limit, float(values.max())))
         axes.grid(alpha=0.3)
         axes.legend(loc="center right")
-        if row < 2:
+        if row < len(rows) - 1:
             axes.tick_params(labelbottom=False)
         else:
             axes.set_xlabel("time [s]")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,9 @@ from ppt_rl.training.checkpoint import load_checkpoint, save_checkpoint
 from ppt_rl.training.logs import RunLogs
 
 __all__ = ["PPOConfig", "train_ppo"]
+
+#: Policy steps in a batch from which on an update is worth every CPU.
+_LARGE = 4096
 
 
 @dataclass(frozen=True)
@@ -70,12 +75,23 @@ class PPOConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected at most 1.")
 
 
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 class _Learner:
     """Losses, optimizer and learning-rate schedule of one run."""
 
     def __init__(self, actor: ProbabilisticActor, critic: nn.Module, config: PPOConfig) -> None:
         self.actor, self.critic, self.config = actor, critic, config
         self.advantage = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=critic, average_gae=False)
+        # A step-wise batch has no such entry: then every policy step is one control step.
         self.advantage.set_keys(steps_to_next_obs=("next", "control_steps"))
         self.loss = ClipPPOLoss(
             actor, critic, clip_epsilon=config.clip, entropy_bonus=config.entropy > 0, entropy_coeff=config.entropy,
@@ -85,10 +101,12 @@ class _Learner:
         self.schedule = KLAdaptiveLR(self.optimizer, config.target_kl, max_lr=config.max_learning_rate)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Improve actor and critic on one batch."""
-        with torch.no_grad():
-            batch = self.advantage(batch).reshape(-1)
-        config, totals = self.config, torch.zeros(2)
+        """Improve actor and critic on one batch: fewer passes than allowed where the policy has moved far enough."""
+        with _threads(len(os.sched_getaffinity(0)) if batch.numel() > _LARGE else torch.get_num_threads()):
+            return self._improve(self._with_advantage(batch))
+
+    def _improve(self, batch: TensorDictBase) -> dict[str, float]:
+        config, totals, updates = self.config, torch.zeros(2), 0
         for _ in range(config.epochs):
             for rows in torch.randperm(len(batch)).chunk(config.minibatches):
                 losses = self.loss(batch[rows])
@@ -98,13 +116,23 @@ class _Learner:
                 nn.utils.clip_grad_norm_(self.loss.parameters(), config.max_grad_norm)
                 self.optimizer.step()
                 totals += torch.stack([losses["loss_objective"].detach(), losses["loss_critic"].detach()])
+                updates += 1
             divergence = self._divergence(batch)
             self.schedule.step(divergence)
-        objective, critic = (totals / (config.epochs * config.minibatches)).tolist()
+            if divergence > 2 * config.target_kl:
+                break
+        objective, critic = (totals / updates).tolist()
         rate = self.optimizer.param_groups[0]["lr"]
         return {
             "loss_objective": objective, "loss_critic": critic, "kl": float(divergence), "learning_rate": rate,
         }  # fmt: skip
+
+    @torch.no_grad()
+    def _with_advantage(self, batch: TensorDictBase) -> TensorDictBase:
+        """A flat batch of what the loss reads: a step-wise batch is large, so the rest is left behind."""
+        batch = self.advantage(batch)
+        keys = {"loc", "scale", "advantage", "value_target", *self.loss.in_keys}
+        return batch.select(*keys, strict=False).reshape(-1)
 
     @torch.no_grad()
     def _divergence(self, batch: TensorDictBase) -> Tensor:
@@ -134,7 +162,7 @@ def train_ppo(
     """Train until the budget of control steps is spent. Ctrl-C ends it early, with a good checkpoint written first.
 
     Args:
-        env: batch-locked environment with the recipe's chain; its batch must report ``("next", "control_steps")``.
+        env: batch-locked environment with the recipe's chain.
         actor: policy, read by the collector.
         critic: value network.
         config: settings.
@@ -179,7 +207,7 @@ def train_ppo(
             batch = next(batches)
             scalars = batch_statistics(batch) | learner.update(batch)
             success = scalars["success"]
-            steps = int(batch["next", "control_steps"].sum())
+            steps = control_steps(batch)
             counters["control_steps"] += steps
             counters["batches"] += 1
             counters["seconds"] = scalars["seconds"] = time.perf_counter() - started
@@ -231,8 +259,21 @@ def _save(
     return save_checkpoint(run_dir, parts, step=step, variant=variant, config=config, success=success)
 
 
+def control_steps(batch: TensorDictBase) -> int:
+    """Control steps in a batch; without a macro step, every policy step is one.
+
+    Args:
+        batch: what the collector returned.
+
+    Returns:
+        Their number.
+    """
+    steps = batch.get(("next", "control_steps"), None)
+    return batch.numel() if steps is None else int(steps.sum())
+
+
 def batch_statistics(batch: TensorDictBase) -> dict[str, float]:
-    """Means over the episodes that ended in a batch, and sums of rewards.
+    """Means over the episodes that ended in a batch; rewards are summed over an episode.
 
     Args:
         batch: what the collector returned.
@@ -243,13 +284,13 @@ def batch_statistics(batch: TensorDictBase) -> dict[str, float]:
     following = batch["next"]
     done = following["done"].squeeze(-1)
     ended = following[done] if bool(done.any()) else following
+    episodes = max(1, int(done.sum()))
     statistics = {
-        "reward": following["reward"].mean(),
+        "reward": following["reward"].sum() / episodes,
         "success": ended["success"].float().mean(),
         "progress": ended["progress"].mean(),
     }
     statistics |= {name: ended["metrics", name].mean() for name in following["metrics"].keys()}
-    statistics |= {
-        f"reward_{name}": following["reward_terms", name].mean() for name in following["reward_terms"].keys()
-    }
+    terms = following["reward_terms"]
+    statistics |= {f"reward_{name}": terms[name].sum() / episodes for name in terms.keys()}
     return {name: float(value) for name, value in statistics.items()}

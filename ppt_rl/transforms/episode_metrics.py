@@ -26,7 +26,7 @@ _MEMORY = "metrics_memory"
 class EpisodeMetricsTransform(StatefulTransform):
     """Measures an episode at control rate and writes ``("metrics", name)``, ``(*B, 1)`` each, where it ends.
 
-    Names: ``max_power`` [W] of the commanded power (the measured one where no ``power`` is observed),
+    Names: ``max_power`` [W] and ``work`` [J] of the commanded power (the measured one where no ``power`` is observed),
     ``max_power_measured`` [W], ``jerk_rms`` [m/s^3], ``wrench_p95`` [N], ``overload_ratio`` and ``contact_continuity``
     [0-1]; docs/metrics.md defines them. They are zero until ``done``. Append it before a :class:`MacroStepTransform`.
 

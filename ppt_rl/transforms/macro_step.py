@@ -24,7 +24,7 @@ class MacroStepTransform(ActionTransform):
     What is appended before it runs at control rate, what is appended after it once per chunk. Compared with torchrl's
     ``MultiAction`` it aggregates rewards, keeps every shape uniform, and freezes rows that end inside the chunk.
 
-    * reward keys, and what stands under ``reward_terms``, are summed: ``sum_k discount^k r_k``;
+    * reward keys, ``cost``, and what stands under ``reward_terms``, are summed: ``sum_k discount^k r_k``;
     * the other entries are those of the last control step that a row executed;
     * ``control_steps`` ``(*B, 1)`` is how many a row executed, for the SMDP discount
       (``GAE.set_keys(steps_to_next_obs=("next", "control_steps"))``) and for counting frames;
@@ -142,7 +142,8 @@ class MacroStepTransform(ActionTransform):
         owner, keys = self.__dict__.get("_summed", (None, []))
         if owner is not parent:  # a clone, or a chain that changed, has another parent
             terms = parent.full_observation_spec.get("reward_terms", None)
-            names = [] if terms is None else [("reward_terms", name) for name in terms.keys()]
+            names: list[NestedKey] = [] if terms is None else [("reward_terms", name) for name in terms.keys()]
+            names += ["cost"] if "cost" in parent.full_observation_spec.keys() else []
             keys = [*parent.reward_keys, *names]
             self.__dict__["_summed"] = parent, keys
         return keys

@@ -10,10 +10,11 @@ import evaluate
 import ppo_ppt_push as recipe
 import pytest
 import torch
+from registry import load_policy
 from torchrl.checkpoint import Checkpoint
 
 from ppt_rl.envs.mujoco_imports import rendering_backend
-from ppt_rl.training import REPORTED, CheckpointMismatch, PPOConfig
+from ppt_rl.training import REPORTED, CheckpointMismatch, PPOConfig, load_checkpoint
 
 KEYS = ["success", "max_power", "jerk_rms", "wrench_p95", "overload_ratio", "contact_continuity", "progress"]
 
@@ -71,8 +72,7 @@ def test_without_an_opengl_library_only_the_video_is_left_out(trained, tmp_path,
 
 
 def test_the_evaluated_environment_has_no_privileged_observation(trained):
-    loaded_recipe, config, promp, _ = evaluate.load_policy(trained)
-    env = evaluate.make_test_env(loaded_recipe, config, promp, evaluate.Config(trained, episodes=2), (0.06,))
+    env = load_policy(trained).make_env(num_envs=2, seed=0)
     assert "box_pose" not in env.reset().keys()
 
 
@@ -96,7 +96,7 @@ def test_a_checkpoint_of_another_variant_is_refused(tmp_path):
     path = tmp_path / "other.torchrl"
     metadata = {"variant": "other_task", "config": {}, "success": 0.0}
     Checkpoint(format="archive", actor=torch.nn.Linear(1, 1)).save(path, metadata=metadata)
-    with pytest.raises(CheckpointMismatch, match=r"'other_task'; expected one of \['ppt_push'\]"):
+    with pytest.raises(CheckpointMismatch, match=r"'other_task' is unknown; expected one of .*'ppt_push'"):
         evaluate.main(evaluate.Config(path))
 
 
@@ -107,11 +107,9 @@ def test_a_checkpoint_of_another_network_is_refused(trained, tmp_path):
             ppo=PPOConfig(total_control_steps=80, epochs=1, minibatches=1),
         )
     )
-    _, _, promp, actor = evaluate.load_policy(trained)
-    from ppt_rl.training import load_checkpoint
-
+    policy = load_policy(trained)
     with pytest.raises(CheckpointMismatch, match="does not fit"):
-        load_checkpoint(other, {"actor": actor, "promp": promp})
+        load_checkpoint(other, {"actor": policy.actor, **policy.modules})
 
 
 def test_a_missing_checkpoint_is_named(tmp_path):

@@ -1,0 +1,104 @@
+"""Small published policies: weights without code (safetensors), and a card that says what they are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError
+from safetensors.torch import load as load_tensors
+from safetensors.torch import save as save_tensors
+from torch import Tensor, nn
+
+from ppt_rl.training.checkpoint import CheckpointMismatch
+from ppt_rl.training.logs import write_bytes_atomically, write_text_atomically
+
+__all__ = ["is_pretrained", "load_pretrained", "pretrained_card", "save_pretrained"]
+
+_WEIGHTS, _CARD = "policy.safetensors", "card.json"
+
+
+def is_pretrained(path: Path) -> bool:
+    """Whether a path is a directory with a published policy.
+
+    Args:
+        path: any path.
+
+    Returns:
+        Whether it holds a card.
+    """
+    return (path / _CARD).is_file()
+
+
+def save_pretrained(directory: Path, modules: Mapping[str, nn.Module], card: Mapping[str, Any]) -> None:
+    """Write weights and card.
+
+    Args:
+        directory: where to.
+        modules: what to save, by name: the actor, and what its chain needs.
+        card: JSON-compatible; at least ``variant`` and ``config``. The digest of the weights is added.
+    """
+    tensors = {f"{name}.{key}": value.contiguous() for name, module in modules.items() for key, value in _state(module)}
+    data = save_tensors(tensors)
+    write_bytes_atomically(directory / _WEIGHTS, data)
+    record = {**card, "weights": _WEIGHTS, "sha256": hashlib.sha256(data).hexdigest()}
+    write_text_atomically(directory / _CARD, json.dumps(record, indent=2) + "\n")
+
+
+def _state(module: nn.Module) -> list[tuple[str, Tensor]]:
+    return [(key, value.detach().cpu()) for key, value in module.state_dict().items()]
+
+
+def pretrained_card(directory: Path) -> dict[str, Any]:
+    """The card of a published policy.
+
+    Args:
+        directory: what :func:`save_pretrained` wrote.
+
+    Returns:
+        Its content.
+
+    Raises:
+        CheckpointMismatch: if it is unreadable or names no variant.
+    """
+    try:
+        card = json.loads((directory / _CARD).read_text())
+        complete = {"variant", "config", "sha256"} <= set(card)
+    except (OSError, ValueError, TypeError) as error:
+        raise CheckpointMismatch(f"{directory / _CARD} cannot be read ({error}); take a fresh copy.") from error
+    if not complete:
+        raise CheckpointMismatch(f"{directory / _CARD} is no card: expected variant, config and sha256 in it.")
+    return card
+
+
+def load_pretrained(directory: Path, modules: Mapping[str, nn.Module]) -> None:
+    """Load a published policy into modules, after its weights were held against the card.
+
+    Args:
+        directory: what :func:`save_pretrained` wrote.
+        modules: to fill, by name.
+
+    Raises:
+        CheckpointMismatch: if the weights are missing, are not those of the card, or do not fit.
+    """
+    path, card = directory / _WEIGHTS, pretrained_card(directory)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise CheckpointMismatch(f"{path} cannot be read ({error}); expected the weights beside the card.") from error
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != card["sha256"]:
+        raise CheckpointMismatch(
+            f"{path} was changed: its SHA-256 is {digest[:12]}..., the card says {str(card['sha256'])[:12]}.... "
+            "Take a fresh copy of both."
+        )
+    try:
+        tensors = load_tensors(data)
+        for name, module in modules.items():
+            prefix = f"{name}."
+            module.load_state_dict({k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)})
+    except (SafetensorError, RuntimeError) as error:
+        raise CheckpointMismatch(f"{path} does not fit the variant {card['variant']!r} ({error}).") from error

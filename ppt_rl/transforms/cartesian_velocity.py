@@ -1,0 +1,113 @@
+"""Step-wise control: a bounded Cartesian velocity becomes the reference of the impedance controller."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
+
+from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
+from ppt_rl.modules.task_space import TaskSpace
+from ppt_rl.transforms.base import ActionTransform, replace_leaf
+
+__all__ = ["CartesianVelocityTransform"]
+
+
+class CartesianVelocityTransform(ActionTransform):
+    r"""Integrates a velocity ``a`` ``(*B, D)`` in [-1, 1] to a reference ``(*B, 13)`` of pose and twist.
+
+    .. math::
+        y' = y_m + \mathrm{clip}\big(y + v_{max}\,\mathrm{clip}(a, -1, 1)\,\Delta t - y_m,\ -l,\ l\big),
+        \qquad v = (y' - y) / \Delta t
+
+    per coordinate, with ``y_m`` the measured coordinates of the end effector and ``l`` the lead: the reference cannot
+    run away from a blocked tool, and the spring's force stays below stiffness times lead. The reference's twist is that
+    of the bounded motion, itself within ``v_max``. State and observation: ``reference_position`` ``(*B, D)``.
+
+    Append it after an :class:`ImpedanceTransform`, in the place where an episode-level policy has its macro step.
+
+    Args:
+        task_space: what the D coordinates mean.
+        max_velocity: one number, or D of them: the velocity of an action of 1 [m/s, rad/s].
+        max_lead: one number, or D of them: largest distance of the reference from the end effector [m, rad].
+        dt: control step [s].
+        action_key: the action: velocity outside, reference towards the environment.
+        pose_key: end-effector pose observation.
+
+    Raises:
+        ValueError: if a size does not fit, a number is not positive, or an action is not finite.
+
+    Source:
+        Paper, section "Common Experimental Setup" (variants S and ST).
+
+    Examples:
+        >>> task_space = TaskSpace(("x", "y"), (0.4, 0.0, 0.1, 0.0, 1.0, 0.0, 0.0))
+        >>> CartesianVelocityTransform(task_space, max_velocity=0.3).max_velocity
+        tensor([0.3000, 0.3000])
+    """
+
+    def __init__(
+        self,
+        task_space: TaskSpace,
+        *,
+        max_velocity: float | Sequence[float] = 0.4,
+        max_lead: float | Sequence[float] = 0.05,
+        dt: float = 0.01,
+        action_key: NestedKey = "action",
+        pose_key: NestedKey = "pose",
+    ) -> None:
+        super().__init__(action_key)
+        self.task_space = task_space
+        self.dt = require_positive("dt", dt, "s")
+        self.pose_key = pose_key
+        self.register_buffer("max_velocity", _bound("max_velocity", max_velocity, task_space.num_dof))
+        self.register_buffer("max_lead", _bound("max_lead", max_lead, task_space.num_dof))
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action, pose = self._require(tensordict, self.action_key, self.pose_key)
+        require_last_dim("action (Cartesian velocity)", action, self.task_space.num_dof)
+        require_finite("action (Cartesian velocity)", action)
+        measured = self.task_space.project(pose).to(action.dtype)
+        position = tensordict.get("reference_position", None)
+        if position is None:
+            position = measured
+        lead, speed = self.max_lead.to(action.dtype), self.max_velocity.to(action.dtype)
+        wanted = position + self.dt * speed * action.clamp(-1.0, 1.0)
+        following = measured + (wanted - measured).clamp(-lead, lead)
+        # Pulled along by a moving tool, the reference may have to go faster than it is let to say.
+        velocity = ((following - position) / self.dt).clamp(-speed, speed)
+        reference = torch.cat([self.task_space.pose(following), self.task_space.twist(velocity)], -1)
+        tensordict.set(self.action_key, reference)
+        self._stash(tensordict, "reference_position", following)
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        self._unstash(tensordict, next_tensordict, "reference_position")
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        (pose,) = self._require(tensordict_reset, self.pose_key)
+        self._restart(tensordict, tensordict_reset, "reference_position", self.task_space.project(pose))
+        return tensordict_reset
+
+    def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
+        shape = (*like.shape[:-1], self.task_space.num_dof)
+        return {"reference_position": Unbounded(shape=shape, dtype=like.dtype, device=like.device)}
+
+    def transform_action_spec(self, action_spec: Composite) -> Composite:
+        """The action outside is a velocity of D numbers in [-1, 1]."""
+        like = action_spec[self.action_key]
+        shape = (*like.shape[:-1], self.task_space.num_dof)
+        spec = Bounded(-1.0, 1.0, shape=shape, dtype=like.dtype, device=like.device)
+        return replace_leaf(action_spec, self.action_key, spec, type(self).__name__)
+
+
+def _bound(name: str, value: float | Sequence[float], size: int) -> Tensor:
+    bound = torch.as_tensor(value, dtype=torch.get_default_dtype()).reshape(-1)
+    if bound.numel() not in (1, size) or not bool((bound > 0).all() & bound.isfinite().all()):
+        raise ValueError(f"{name} is {value}; expected 1 or {size} positive numbers.")
+    return bound.expand(size).clone()

@@ -1,0 +1,107 @@
+"""PP on box pushing: ProMP residual policy and Cartesian impedance; PPT without its energy tank.
+
+Train with defaults, or look at the options: ``python recipes/ppo_pp_push.py --help``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from torch import nn
+from torchrl.envs import Compose, TransformedEnv
+
+from ppt_rl.modules import PandaKinematics, ProMP, TaskSpace
+from ppt_rl.training import (
+    PUSH_AXES,
+    PushConfig,
+    fit_push_prior,
+    make_push_controller,
+    make_push_env,
+    make_push_policy,
+    push_metrics,
+    run_recipe,
+    seed_everything,
+)
+from ppt_rl.transforms import (
+    EpisodeMetricsTransform,
+    ImpedanceTransform,
+    JointTorqueTransform,
+    MacroStepTransform,
+    ProMPTransform,
+    ViaPointTransform,
+)
+
+VARIANT = "pp_push"
+
+
+@dataclass(frozen=True)
+class Config(PushConfig):
+    """Train PP (ProMP + PPO) on box pushing.
+
+    Attributes:
+        num_basis: basis functions of the ProMP for each of x, y and yaw.
+        replan_steps: control steps between policy steps; 0 is one policy step per episode.
+        residual_position: how far a residual of 1 moves a weight in x and y [m].
+        residual_yaw: how far a residual of 1 moves a weight in yaw [rad].
+        initial_scale: standard deviation of the untrained policy, in residuals [-].
+    """
+
+    run_dir: Path = Path("runs/pp_push")
+    num_basis: int = 8
+    replan_steps: int = 0
+    residual_position: float = 0.03
+    residual_yaw: float = 0.3
+    initial_scale: float = 0.25
+
+    @property
+    def chunk(self) -> int:
+        """Control steps of a policy step."""
+        return self.replan_steps or self.horizon
+
+
+def make_modules(config: Config) -> dict[str, ProMP]:
+    """What a checkpoint holds besides the networks: the movement primitive, its prior not fitted yet."""
+    return {"promp": ProMP(config.num_basis, len(PUSH_AXES), config.duration)}
+
+
+def make_env(
+    config: Config, promp: ProMP, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
+) -> TransformedEnv:
+    """The pushing environment with PP's chain: what stands above the macro step runs at control rate."""
+    base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
+    residual = (config.residual_position, config.residual_position, config.residual_yaw)
+    return TransformedEnv(
+        base,
+        Compose(
+            JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
+            ImpedanceTransform(make_push_controller(config)),
+            EpisodeMetricsTransform(push_metrics(config)),
+            MacroStepTransform(config.chunk, discount=config.ppo.gamma),
+            ProMPTransform(
+                promp, TaskSpace(PUSH_AXES, base.start_pose), residual_scale=residual, replan_steps=config.chunk, dt=dt
+            ),
+            ViaPointTransform(promp),
+        ),
+    )
+
+
+def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
+    """Actor and critic."""
+    return make_push_policy(env, initial_scale=config.initial_scale)
+
+
+def main(config: Config) -> Path:
+    """Train."""
+    seed_everything(config)
+    modules = make_modules(config)
+    fit_push_prior(modules["promp"])  # from scripted demonstrations
+    env = make_env(config, modules["promp"])
+    policy_steps = -(-config.horizon // config.chunk)
+    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=policy_steps, extra=modules)
+
+
+if __name__ == "__main__":
+    from ppt_rl.training import run_cli
+
+    run_cli(main, Config)

@@ -1,0 +1,97 @@
+"""S on box pushing: a step-wise Cartesian velocity policy; ST without its energy tank.
+
+Train with defaults, or look at the options: ``python recipes/ppo_s_push.py --help``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from torch import nn
+from torchrl.envs import Compose, StepCounter, TransformedEnv, UnaryTransform
+
+from ppt_rl.modules import PandaKinematics, TaskSpace
+from ppt_rl.training import (
+    PUSH_AXES,
+    PushConfig,
+    make_push_controller,
+    make_push_env,
+    make_push_policy,
+    push_metrics,
+    run_recipe,
+    seed_everything,
+)
+from ppt_rl.transforms import (
+    CartesianVelocityTransform,
+    EpisodeMetricsTransform,
+    ImpedanceTransform,
+    JointTorqueTransform,
+)
+
+VARIANT = "s_push"
+
+
+@dataclass(frozen=True)
+class Config(PushConfig):
+    """Train S (step-wise PPO) on box pushing.
+
+    Attributes:
+        max_velocity: velocity of an action of 1 in x and y [m/s].
+        max_yaw_rate: yaw rate of an action of 1 [rad/s].
+        max_lead: farthest the reference may be ahead of the tool in x and y [m].
+        max_yaw_lead: farthest it may be ahead in yaw [rad].
+        initial_scale: standard deviation of the untrained policy, in actions [-].
+    """
+
+    run_dir: Path = Path("runs/s_push")
+    max_velocity: float = 0.4
+    max_yaw_rate: float = 1.5
+    max_lead: float = 0.05
+    max_yaw_lead: float = 0.3
+    initial_scale: float = 0.5
+
+
+def make_modules(config: Config) -> dict[str, nn.Module]:
+    """What a checkpoint holds besides the networks: nothing."""
+    return {}
+
+
+def make_env(
+    config: Config, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
+) -> TransformedEnv:
+    """The pushing environment with S's chain: everything runs at control rate."""
+    base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
+    velocity = (config.max_velocity, config.max_velocity, config.max_yaw_rate)
+    lead = (config.max_lead, config.max_lead, config.max_yaw_lead)
+    return TransformedEnv(
+        base,
+        Compose(
+            JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
+            ImpedanceTransform(make_push_controller(config)),
+            EpisodeMetricsTransform(push_metrics(config)),
+            CartesianVelocityTransform(
+                TaskSpace(PUSH_AXES, base.start_pose), max_velocity=velocity, max_lead=lead, dt=dt
+            ),
+            StepCounter(),
+            UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),
+        ),
+    )
+
+
+def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
+    """Actor and critic."""
+    return make_push_policy(env, initial_scale=config.initial_scale, extra_keys=("reference_position",))
+
+
+def main(config: Config) -> Path:
+    """Train."""
+    seed_everything(config)
+    env = make_env(config)
+    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=config.horizon)
+
+
+if __name__ == "__main__":
+    from ppt_rl.training import run_cli
+
+    run_cli(main, Config)
