@@ -42,6 +42,7 @@ class Config(PushConfig):
         max_lead: farthest the reference may be ahead of the tool in x and y [m].
         max_yaw_lead: farthest it may be ahead in yaw [rad].
         initial_scale: standard deviation of the untrained policy, in actions [-].
+        rollout_steps: control steps of every environment between two updates.
     """
 
     run_dir: Path = Path("runs/s_push")
@@ -49,7 +50,8 @@ class Config(PushConfig):
     max_yaw_rate: float = 1.5
     max_lead: float = 0.05
     max_yaw_lead: float = 0.3
-    initial_scale: float = 0.5
+    initial_scale: float = 0.25
+    rollout_steps: int = 60
 
 
 def make_modules(config: Config) -> dict[str, nn.Module]:
@@ -88,7 +90,7 @@ def main(config: Config) -> Path:
     """Train."""
     seed_everything(config)
     env = make_env(config)
-    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=config.horizon)
+    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=config.rollout_steps)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
 
-__all__ = ["HIDDEN", "InputNorm", "fit_input_norm", "make_actor", "make_critic"]
+__all__ = ["HIDDEN", "InputNorm", "make_actor", "make_critic", "update_input_norm"]
 
 #: Hidden layers of actor and critic (paper, section "Common Experimental Setup").
 HIDDEN = (256, 256, 128)
@@ -20,33 +20,44 @@ HIDDEN = (256, 256, 128)
 class InputNorm(nn.Module):
     """Concatenates inputs and standardises them: ``(x - loc) / scale``, clipped to ``+-limit``.
 
-    The statistics are buffers, so a checkpoint carries them; :meth:`fit` sets them from data.
+    The statistics are buffers, so a checkpoint carries them; :meth:`update` takes data into them.
 
     Args:
         size: total number of input features.
         limit: bound on a standardised feature [-].
+        floor: smallest spread; a feature that varies less is left out, as constant.
     """
 
     loc: Tensor
     scale: Tensor
+    variance: Tensor
+    count: Tensor
 
-    def __init__(self, size: int, limit: float = 10.0) -> None:
+    def __init__(self, size: int, limit: float = 10.0, floor: float = 1e-3) -> None:
         super().__init__()
         self.limit = limit
+        self.floor = floor
         self.register_buffer("loc", torch.zeros(size))
         self.register_buffer("scale", torch.ones(size))
+        self.register_buffer("variance", torch.zeros(size))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
 
-    def fit(self, *inputs: Tensor, floor: float = 1e-3) -> None:
-        """Set the statistics from data.
+    @torch.no_grad()
+    def update(self, *inputs: Tensor) -> None:
+        """Merge data into the statistics, which are those of all data seen so far.
 
         Args:
             *inputs: ``(*B, n_i)`` samples of each input.
-            floor: smallest spread; a feature that varies less is left out, as constant.
         """
         data = torch.cat(inputs, -1).flatten(0, -2)
-        std = data.std(0, correction=0)
-        self.loc.copy_(data.mean(0))
-        self.scale.copy_(torch.where(std < floor, torch.full_like(std, torch.inf), std))
+        share = len(data) / (self.count + len(data)).to(data.dtype)  # of the new data
+        difference = data.mean(0) - self.loc
+        variance = (1 - share) * self.variance + share * data.var(0, correction=0)
+        self.variance.copy_(variance + share * (1 - share) * difference.square())
+        self.loc.add_(share * difference)
+        self.count.add_(len(data))
+        std = self.variance.sqrt()
+        self.scale.copy_(torch.where(std < self.floor, torch.full_like(std, torch.inf), std))
 
     def forward(self, *inputs: Tensor) -> Tensor:
         """Standardised concatenation.
@@ -87,7 +98,7 @@ def make_actor(
         initial_scale: standard deviation at the start, in units of the action.
 
     Returns:
-        The actor. Its statistics of the inputs are set by :func:`fit_input_norm`.
+        The actor. Its statistics of the inputs are set by :func:`update_input_norm`.
     """
     head = AddStateIndependentNormalScale(action_size, scale_lb=1e-3, init_value=math.log(initial_scale))
     network = _Network(in_size, action_size, head)
@@ -112,13 +123,13 @@ def make_critic(in_keys: Sequence[str], in_size: int) -> ValueOperator:
         in_size: their total size.
 
     Returns:
-        The critic. Its statistics of the inputs are set by :func:`fit_input_norm`.
+        The critic. Its statistics of the inputs are set by :func:`update_input_norm`.
     """
     return ValueOperator(_Network(in_size, 1, nn.Identity()), in_keys=list(in_keys))
 
 
-def fit_input_norm(module: TensorDictModule, data: TensorDictBase) -> None:
-    """Set an actor's or a critic's input statistics from data.
+def update_input_norm(module: TensorDictModule, data: TensorDictBase) -> None:
+    """Take data into an actor's or a critic's input statistics.
 
     Args:
         module: what :func:`make_actor` or :func:`make_critic` returned.
@@ -126,4 +137,4 @@ def fit_input_norm(module: TensorDictModule, data: TensorDictBase) -> None:
     """
     norm = next(part for part in module.modules() if isinstance(part, InputNorm))
     inner = module[0] if isinstance(module, ProbabilisticActor) else module
-    norm.fit(*(data.get(key) for key in inner.in_keys))
+    norm.update(*(data.get(key) for key in inner.in_keys))

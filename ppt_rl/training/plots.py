@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ppt_rl.training.logs import read_scalar
 
-__all__ = ["moving_average", "plot_push_episode", "plot_training"]
+__all__ = ["moving_average", "plot_calibration", "plot_push_episode", "plot_training", "save_figure"]
 
 _BLUE, _ORANGE, _GREEN, _GREY = "#1f5fa8", "#d9701a", "#2a9d4a", "#8a8f98"
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def plot_training(run_dir: Path, path: Path, *, p_max: float | None = None, wind
     left.legend(loc="lower right")
     right.legend(loc="best")
     figure.suptitle("Training with the exploring policy")
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def plot_push_episode(
@@ -106,7 +106,7 @@ def plot_push_episode(
             axes.tick_params(labelbottom=False)
         else:
             axes.set_xlabel("time [s]")
-    _save(figure, path)
+    save_figure(figure, path)
 
 
 def _draw_scene(axes: Axes, episode: Mapping[str, Array]) -> None:
@@ -139,8 +139,47 @@ def _placed(points: Array, pose: Array, *, tool_down: bool = False) -> Array:
     return pose[:2] + points[:, :1] * axis_x + points[:, 1:] * axis_y
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure so that it is there whole or not at all.
+
+    Args:
+        figure: what to write.
+        path: its suffix names the format.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".draft-{path.name}")
     figure.savefig(draft, dpi=120)
     draft.replace(path)
+
+
+def plot_calibration(rows: Mapping[str, Array], path: Path, *, p_max: float, e_max: float) -> None:
+    """Distributions over episodes of peak power and work without limits, and the limits proposed.
+
+    Args:
+        rows: arrays over episodes: ``max_power`` [W], ``work`` [J], ``success``, and where audited
+            ``audit_commanded_power`` and ``audit_commanded_work``.
+        path: where the picture goes.
+        p_max: proposed power limit [W].
+        e_max: proposed capacity [J].
+    """
+    figure = Figure(figsize=(10, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    success = np.asarray(rows["success"]) > 0.5
+    for axes, key, audit, limit, label in (
+        (left, "max_power", "audit_commanded_power", p_max, "peak power of an episode [W]"),
+        (right, "work", "audit_commanded_work", e_max, "work of an episode [J]"),
+    ):
+        for values, color, name in (
+            (rows[key], _BLUE, "all episodes"),
+            (rows[key][success], _GREEN, "successful ones"),
+            (rows.get(audit), _GREY, "all, at the physics' rate"),
+        ):
+            if values is not None and len(values):
+                axes.ecdf(values, color=color, lw=1.8, label=name)
+        axes.axvline(limit, color=_ORANGE, ls="--", lw=1.4, label=f"proposal {limit:.3g}")
+        axes.set_xlabel(label)
+        axes.set_ylabel("share of episodes below")
+        axes.set_xlim(left=0)
+        axes.grid(alpha=0.3)
+        axes.legend(loc="lower right")
+    save_figure(figure, path)

@@ -24,6 +24,7 @@ from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
 from torchrl.objectives.value import GAE
 from tqdm import tqdm
 
+from ppt_rl.modules.actor_critic import update_input_norm
 from ppt_rl.training.checkpoint import load_checkpoint, save_checkpoint
 from ppt_rl.training.logs import RunLogs
 
@@ -52,12 +53,12 @@ class PPOConfig:
         checkpoint_every: batches between checkpoints.
     """
 
-    total_control_steps: int = 1_536_000
+    total_control_steps: int = 921_600
     epochs: int = 8
     minibatches: int = 4
     learning_rate: float = 3e-4
     max_learning_rate: float = 2e-3
-    target_kl: float = 0.05
+    target_kl: float = 0.02
     clip: float = 0.2
     entropy: float = 0.0
     gamma: float = 1.0
@@ -166,7 +167,7 @@ def train_ppo(
         actor: policy, read by the collector.
         critic: value network.
         config: settings.
-        policy_steps: policy steps of an episode; a batch is one episode of every environment.
+        policy_steps: policy steps of every environment in a batch: an episode, or a part of one.
         run_dir: where logs and checkpoints go.
         variant: name of the recipe's variant, kept in the checkpoint.
         run_config: configuration of the run, kept in the checkpoint.
@@ -198,7 +199,7 @@ def train_ppo(
         auto_register_policy_transforms=False,
     )
     bar = tqdm(total=config.total_control_steps, initial=counters["control_steps"], unit=" steps", unit_scale=True)
-    success, path = 0.0, None
+    shown, path = {"success": 0.0, "max_power": 0.0}, None
     batches = iter(collector)
     started = time.perf_counter() - counters["seconds"]
     interrupt = _Interrupt()
@@ -206,20 +207,22 @@ def train_ppo(
         while counters["control_steps"] < config.total_control_steps and not interrupt.asked:
             batch = next(batches)
             scalars = batch_statistics(batch) | learner.update(batch)
-            success = scalars["success"]
+            for module in (actor, critic):
+                update_input_norm(module, batch)  # after the update: the batch was collected with the old statistics
+            shown |= scalars
             steps = control_steps(batch)
             counters["control_steps"] += steps
             counters["batches"] += 1
             counters["seconds"] = scalars["seconds"] = time.perf_counter() - started
             logs.write(scalars, counters["control_steps"])
             bar.update(steps)
-            bar.set_postfix(success=f"{success:.0%}", max_power=f"{scalars['max_power']:.2f} W")
+            bar.set_postfix(success=f"{shown['success']:.0%}", max_power=f"{shown['max_power']:.2f} W")
             if on_batch is not None:
                 on_batch(counters["batches"], scalars)
             if counters["batches"] % config.checkpoint_every == 0:
-                path = _save(run_dir, components, counters, variant, run_config, success)
+                path = _save(run_dir, components, counters, variant, run_config, shown["success"])
     finally:
-        path = _save(run_dir, components, counters, variant, run_config, success)
+        path = _save(run_dir, components, counters, variant, run_config, shown["success"])
         bar.close()
         logs.close()
         collector.shutdown()
@@ -273,24 +276,21 @@ def control_steps(batch: TensorDictBase) -> int:
 
 
 def batch_statistics(batch: TensorDictBase) -> dict[str, float]:
-    """Means over the episodes that ended in a batch; rewards are summed over an episode.
+    """Means over the episodes that ended in a batch; rewards are those of a policy step.
 
     Args:
         batch: what the collector returned.
 
     Returns:
-        ``reward``, ``success``, ``progress``, each metric and each reward group by name.
+        ``reward`` and each reward group by name; where episodes ended, also ``success``, ``progress`` and each metric.
     """
     following = batch["next"]
-    done = following["done"].squeeze(-1)
-    ended = following[done] if bool(done.any()) else following
-    episodes = max(1, int(done.sum()))
-    statistics = {
-        "reward": following["reward"].sum() / episodes,
-        "success": ended["success"].float().mean(),
-        "progress": ended["progress"].mean(),
-    }
-    statistics |= {name: ended["metrics", name].mean() for name in following["metrics"].keys()}
     terms = following["reward_terms"]
-    statistics |= {f"reward_{name}": terms[name].sum() / episodes for name in terms.keys()}
+    statistics = {"reward": following["reward"].mean()}
+    statistics |= {f"reward_{name}": terms[name].mean() for name in terms.keys()}
+    done = following["done"].squeeze(-1)
+    if bool(done.any()):
+        ended = following[done]
+        statistics |= {"success": ended["success"].float().mean(), "progress": ended["progress"].mean()}
+        statistics |= {name: ended["metrics", name].mean() for name in following["metrics"].keys()}
     return {name: float(value) for name, value in statistics.items()}

@@ -12,7 +12,7 @@ import torch
 from torch import nn
 from torchrl.envs import EnvBase
 
-from ppt_rl.modules.actor_critic import fit_input_norm, make_actor, make_critic
+from ppt_rl.modules.actor_critic import make_actor, make_critic, update_input_norm
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info, find_checkpoint
 from ppt_rl.training.logs import save_config
 from ppt_rl.training.ppo import PPOConfig, train_ppo
@@ -64,15 +64,12 @@ def make_actor_critic(
     return actor.to(env.device), make_critic(list(critic_keys), width(critic_keys)).to(env.device)
 
 
-def fit_norms(env: EnvBase, modules: Sequence[nn.Module], policy_steps: int, resets: int = 4) -> None:
-    """Set input statistics from fresh episodes, and from one untrained rollout where an episode has several steps."""
+def begin_norms(env: EnvBase, modules: Sequence[nn.Module], resets: int = 4) -> None:
+    """Begin the input statistics with starts of fresh episodes; training takes what it collects into them."""
     samples = [env.reset() for _ in range(resets)]
-    if policy_steps > 1:
-        rollout = env.rollout(policy_steps, break_when_any_done=False)
-        samples += [rollout[:, step] for step in range(policy_steps)]
     data = torch.cat([sample.select(*env.observation_keys) for sample in samples])
     for module in modules:
-        fit_input_norm(module, data)
+        update_input_norm(module, data)
 
 
 def run_recipe(
@@ -93,7 +90,7 @@ def run_recipe(
         env: environment with the recipe's chain.
         actor: policy.
         critic: value network.
-        policy_steps: policy steps of an episode.
+        policy_steps: policy steps of every environment in a batch: an episode, or a part of one.
         extra: further modules to checkpoint.
 
     Returns:
@@ -113,7 +110,7 @@ def run_recipe(
             f"{run_dir} holds a run already. Go on with it by --resume, or name another directory by --run-dir."
         )
     else:
-        fit_norms(env, [actor, critic], policy_steps)
+        begin_norms(env, [actor, critic])
     save_config(run_dir, as_json(config) | {"variant": variant})
     return train_ppo(
         env, actor, critic, settings, policy_steps=policy_steps, run_dir=run_dir, variant=variant,

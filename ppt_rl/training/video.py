@@ -15,7 +15,7 @@ from tensordict import TensorDictBase
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.envs.rendering import require_rendering
 
-__all__ = ["push_frames", "write_video"]
+__all__ = ["pictures", "push_frames", "write_video"]
 
 Image = NDArray[np.uint8]
 
@@ -45,17 +45,39 @@ def push_frames(
     Raises:
         RuntimeError: if no OpenGL library is found.
     """
-    require_rendering()
     for row in rows:
         steps = int(episodes["control_steps"][row])
         trace = episodes["trace"][row]
-        positions = torch.cat([trace["joint_position"], trace["box_pose"]], -1).double().numpy()
-        for step in range(0, steps, every):
-            physics = env.physics(row)
-            with physics.reset_context():
-                physics.data.qpos[:] = positions[step]
-            views = [physics.render(height=size[1], width=size[0], camera_id=camera) for camera in cameras]
-            yield np.concatenate(views, 1)
+        positions = torch.cat([trace["joint_position"], trace["box_pose"]], -1).double().numpy()[:steps:every]
+        views = [pictures(env, row, positions, camera=camera, size=size) for camera in cameras]
+        for frames in zip(*views, strict=True):
+            yield np.concatenate(frames, 1)
+
+
+def pictures(
+    env: PandaPushEnv, row: int, positions: NDArray[np.float64], *, camera: str, size: tuple[int, int] = (640, 480)
+) -> Iterator[Image]:
+    """Pictures of one environment in given configurations.
+
+    Args:
+        env: its box size and goal are the present ones of ``row``.
+        row: which environment.
+        positions: ``(N, nq)`` joint positions, then the box's pose.
+        camera: name of a camera of the scene.
+        size: width and height [pixels].
+
+    Yields:
+        ``(height, width, 3)`` RGB images.
+
+    Raises:
+        RuntimeError: if no OpenGL library is found.
+    """
+    require_rendering()
+    for position in positions:
+        physics = env.physics(row)
+        with physics.reset_context():
+            physics.data.qpos[:] = position
+        yield physics.render(height=size[1], width=size[0], camera_id=camera)
 
 
 def write_video(path: Path, frames: Iterator[Image], fps: float) -> None:

@@ -4,7 +4,7 @@ from tensordict import TensorDict
 from torch.testing import assert_close
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from ppt_rl.modules.actor_critic import HIDDEN, InputNorm, fit_input_norm, make_actor, make_critic
+from ppt_rl.modules.actor_critic import HIDDEN, InputNorm, make_actor, make_critic, update_input_norm
 
 KEYS = ("pose", "twist")
 
@@ -44,7 +44,7 @@ def test_at_the_start_the_mean_is_near_zero_and_the_scale_is_the_initial_one(sca
     torch.manual_seed(0)
     data = observations(1000)
     actor = make_actor(KEYS, 13, 4, initial_scale=scale)
-    fit_input_norm(actor, data)
+    update_input_norm(actor, data)
     out = actor(data)
     assert out["loc"].abs().max().item() < 0.05
     assert_close(out["scale"], torch.full((1000, 4), scale), rtol=1e-3, atol=0.0)
@@ -80,16 +80,16 @@ def test_every_parameter_of_actor_and_critic_gets_a_gradient():
         assert bool((parameter.grad != 0).any())
 
 
-def test_input_norm_standardises_the_data_it_was_fitted_to():
+def test_input_norm_standardises_the_data_it_has_seen():
     data = observations(5000)
     norm = InputNorm(13, limit=100.0)
-    norm.fit(data["pose"], data["twist"])
+    norm.update(data["pose"], data["twist"])
     x = norm(data["pose"], data["twist"])
     assert_close(x.mean(0), torch.zeros(13), rtol=0.0, atol=1e-4)
     assert_close(x.std(0, correction=0), torch.ones(13), rtol=0.0, atol=1e-4)
 
 
-def test_input_norm_is_the_identity_before_it_is_fitted():
+def test_input_norm_is_the_identity_before_it_has_seen_data():
     x = torch.linspace(-4, 4, 13)
     assert torch.equal(InputNorm(13)(x), x)
 
@@ -102,22 +102,34 @@ def test_a_constant_feature_is_left_out_even_when_it_changes_later():
     data = torch.randn(100, 2, generator=torch.Generator().manual_seed(0))
     data[:, 1] = 7.0
     norm = InputNorm(2)
-    norm.fit(data)
+    norm.update(data)
     assert bool((norm(torch.tensor([[0.0, 7.0], [0.0, 1e6]]))[:, 1] == 0).all())
 
 
-def test_fit_flattens_every_batch_dimension():
+@pytest.mark.parametrize("sizes", [(1, 999), (300, 700), (10, 20, 970)])
+def test_statistics_taken_in_by_parts_are_those_of_all_the_data(sizes):
+    data = 3.0 + 2.0 * torch.randn(1000, 4, generator=torch.Generator().manual_seed(0))
+    parts, whole = InputNorm(4), InputNorm(4)
+    for part in data.split(sizes):
+        parts.update(part)
+    whole.update(data)
+    assert_close(dict(parts.named_buffers()), dict(whole.named_buffers()), rtol=1e-5, atol=1e-5)
+    assert_close(parts.loc, data.mean(0))
+    assert_close(parts.scale, data.std(0, correction=0))
+
+
+def test_update_flattens_every_batch_dimension():
     data = observations(20, 30)
     flat, nested = InputNorm(13), InputNorm(13)
-    nested.fit(data["pose"], data["twist"])
-    flat.fit(data["pose"].reshape(600, 7), data["twist"].reshape(600, 6))
+    nested.update(data["pose"], data["twist"])
+    flat.update(data["pose"].reshape(600, 7), data["twist"].reshape(600, 6))
     assert_close(dict(nested.named_buffers()), dict(flat.named_buffers()))
 
 
 @pytest.mark.parametrize("module", [make_actor(KEYS, 13, 4), make_critic(KEYS, 13)], ids=["actor", "critic"])
-def test_fit_input_norm_sets_the_statistics_and_a_checkpoint_carries_them(module):
+def test_update_input_norm_sets_the_statistics_and_a_checkpoint_carries_them(module):
     data = observations(500)
-    fit_input_norm(module, data)
+    update_input_norm(module, data)
     x = torch.cat([data["pose"], data["twist"]], -1)
     state = module.state_dict()
     (loc,) = (value for key, value in state.items() if key.endswith("norm.loc"))

@@ -15,11 +15,13 @@ from ppt_rl.envs import PandaPushEnv
 from ppt_rl.functional import MetricsConfig
 from ppt_rl.modules import CartesianImpedanceController, PandaKinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
+    CartesianVelocityTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
     ImpedanceTransform,
     JointTorqueTransform,
     MacroStepTransform,
+    PowerLimitTransform,
     ProMPTransform,
     ViaPointTransform,
 )
@@ -73,6 +75,13 @@ class Case:
 _ACTION = {"action_key": ("agent", "action")}
 
 CASES: dict[str, Case] = {
+    "CartesianVelocityTransform": Case(
+        lambda **kwargs: CartesianVelocityTransform(TaskSpace(AXES, ORIGIN), max_lead=(0.05, 0.05, 0.2), **kwargs),
+        inner=(13,),
+        outer=(3,),
+        state=("reference_position",),
+        nested={**_ACTION, "pose_key": ("agent", "pose")},
+    ),
     "EnergyTankTransform": Case(
         lambda **kwargs: EnergyTankTransform(p_max=1.0, e_max=0.02, **kwargs),
         state=("tank_energy", "valve"),
@@ -111,6 +120,12 @@ CASES: dict[str, Case] = {
         outer=(3, 7),
         written=("control_steps", ("trace", "joint_velocity")),
         nested=_ACTION,
+    ),
+    "PowerLimitTransform": Case(
+        lambda **kwargs: PowerLimitTransform(12.0, penalty=10.0, terminate=True, **kwargs),
+        written=("cost",),
+        forward=("cost",),
+        nested={"twist_key": ("agent", "twist"), "wrench_key": ("agent", "wrench")},
     ),
     "ProMPTransform": Case(
         make_promp_transform,
@@ -172,7 +187,7 @@ def control_chain() -> list[Transform]:
 
 
 def make_chain_env(num_envs: int = 2, replan_steps: int = 5, duration: float = 0.1, **kwargs: Any) -> TransformedEnv:
-    """Every transform of the library on the pushing task."""
+    """The whole chain of the method on the pushing task."""
     promp = make_promp(duration)
     return push_env(
         num_envs,

@@ -175,6 +175,50 @@ class NestedEffortEnv(EnvBase):
         self._generator = torch.Generator().manual_seed(seed or 0)
 
 
+class ScriptedEnv(EnvBase):
+    """Observations that follow a script whatever the actions; the reward is 1, the last step of the script is done.
+
+    ``executed`` is the action as it arrived. Every row moves, also outside a ``_step`` mask.
+
+    Args:
+        action_size: of one row.
+        script: observations ``(B, T + 1, ...)`` after 0 to T steps, all of one precision.
+    """
+
+    def __init__(self, action_size: int, **script: Tensor) -> None:
+        first = next(iter(script.values()))
+        rows, steps = first.shape[:2]
+        super().__init__(device=torch.device("cpu"), batch_size=torch.Size((rows,)))
+        self.script, self.last, self.dtype = script, steps - 1, first.dtype
+
+        def real(*shape: int) -> Unbounded:
+            return Unbounded(shape=(rows, *shape), dtype=first.dtype)
+
+        observed = {key: real(*value.shape[2:]) for key, value in script.items()}
+        count = Unbounded(shape=(rows, 1), dtype=torch.int64)
+        self.observation_spec = Composite(**observed, count=count, executed=real(action_size), shape=(rows,))
+        self.action_spec = real(action_size)
+        self.reward_spec = real(1)
+
+    def _observe(self, count: Tensor, executed: Tensor) -> TensorDict:
+        here = torch.arange(len(count)), count.squeeze(-1)
+        observed = {key: value[here] for key, value in self.script.items()}
+        done = count >= self.last
+        flags = {"done": done, "terminated": done.clone()}
+        return TensorDict({**observed, **flags, "count": count, "executed": executed}, self.batch_size)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        return self._observe(torch.zeros(*self.batch_size, 1, dtype=torch.int64), self.action_spec.zero())
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        count = (tensordict.get("count") + 1).clamp_max(self.last)
+        following = self._observe(count, tensordict.get("action").clone())
+        return following.set("reward", torch.ones(*self.batch_size, 1, dtype=self.dtype))
+
+    def _set_seed(self, seed: int | None) -> None:
+        pass
+
+
 def actions_for(env: EnvBase, steps: int, scale: float = 0.5, seed: int = 0) -> Tensor:
     """Random actions ``(steps, *action shape)`` for an environment."""
     generator = torch.Generator().manual_seed(seed)

@@ -367,7 +367,9 @@ def test_a_replay_buffer_stores_the_inverse_and_samples_the_forward(name):
 # -- errors ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", sorted(set(CASES) - {"EpisodeMetricsTransform", "ViaPointTransform"}))
+@pytest.mark.parametrize(
+    "name", sorted(set(CASES) - {"EpisodeMetricsTransform", "PowerLimitTransform", "ViaPointTransform"})
+)
 def test_a_missing_action_is_a_key_error_that_names_the_transform(name):
     env: EnvBase = make_env(name, (2,))
     with pytest.raises(KeyError, match=rf"{name} needs .*action"):
@@ -384,7 +386,7 @@ def test_a_tensordict_without_observations_is_a_key_error_that_names_the_transfo
     elif name == "EpisodeMetricsTransform":
         with pytest.raises(KeyError, match=name):
             transform._step(empty, empty)
-    elif name == "ViaPointTransform":
+    elif name in ("PowerLimitTransform", "ViaPointTransform"):
         with pytest.raises(KeyError, match=name):
             transform(empty)
     else:
