@@ -4,12 +4,20 @@ VENV := .venv
 PY := $(VENV)/bin/python
 RUN := runs/ppt_push
 
-.PHONY: push test check bench clean
+.PHONY: demo push study test check bench clean
+
+# Evaluate the published PPT policy: table, figure and video in runs/demo.
+demo: $(VENV)/.installed
+	$(PY) recipes/evaluate.py pretrained/ppt_push --episodes 128 --report runs/demo
 
 # Train PPT on box pushing (or go on with a run that was cut off), then evaluate: table, figures, video, checkpoint.
 push: $(VENV)/.installed
 	$(PY) recipes/ppo_ppt_push.py --run-dir $(RUN) $(if $(wildcard $(RUN)/checkpoints/*),--resume)
 	$(PY) recipes/evaluate.py $(RUN) --per-box --baseline --report $(RUN)/report
+
+# Compare the four variants over three seeds (hours; go on by running it again): results/push.
+study: $(VENV)/.installed
+	$(PY) recipes/study.py --task push --seeds 3 --episodes 256 --pretrained pretrained
 
 # Run the tests.
 test: $(VENV)/.installed
