@@ -23,6 +23,9 @@ __all__ = ["PandaPushEnv", "PushRewards"]
 REWARD_GROUPS = ("progress", "free_space", "contact", "power")
 #: A box counts as flat when its vertical axis is within 10 degrees and its centre within 5 mm of lying [-], [m].
 _FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
+#: Yaw of the paddle behind the box, as a share of the push's: the box stands square to the table, give or take, so in a
+#: steep push a paddle square to the push would meet a corner [-].
+_APPROACH_YAW = 0.7
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,7 @@ class PandaPushEnv(PandaEnv):
         yaw = torch.atan2(direction[:, 1:], direction[:, :1])
         offset = episode.half + 0.5 * self.tool.bar[0]  # box centre to bar centre in touch [m]
         start = torch.cat([tool[:, :2], torch.zeros_like(yaw)], -1)
-        behind = torch.cat([episode.box_start - (offset + 0.02) * direction, yaw], -1)
+        behind = torch.cat([episode.box_start - (offset + 0.02) * direction, _APPROACH_YAW * yaw], -1)
         end = torch.cat([episode.goal - offset * direction, yaw], -1)
         return torch.stack([start, behind, end], 1)
 

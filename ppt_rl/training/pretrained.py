@@ -19,6 +19,8 @@ from ppt_rl.training.logs import write_bytes_atomically, write_text_atomically
 __all__ = ["is_pretrained", "load_pretrained", "pretrained_card", "save_pretrained"]
 
 _WEIGHTS, _CARD = "policy.safetensors", "card.json"
+#: What a card must hold.
+_NEEDED = {"variant": str, "config": dict, "sha256": str}
 
 
 def is_pretrained(path: Path) -> bool:
@@ -66,10 +68,9 @@ def pretrained_card(directory: Path) -> dict[str, Any]:
     """
     try:
         card = json.loads((directory / _CARD).read_text())
-        complete = {"variant", "config", "sha256"} <= set(card)
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError) as error:
         raise CheckpointMismatch(f"{directory / _CARD} cannot be read ({error}); take a fresh copy.") from error
-    if not complete:
+    if not isinstance(card, dict) or not all(isinstance(card.get(name), kind) for name, kind in _NEEDED.items()):
         raise CheckpointMismatch(f"{directory / _CARD} is no card: expected variant, config and sha256 in it.")
     return card
 

@@ -187,7 +187,7 @@ def test_the_via_points_are_the_tool_a_place_behind_the_box_and_the_goal_less_th
     assert (start[:, 2] == 0).all()
     assert_close(behind[:, :2], observation["box_start"] - (offset + 0.02) * direction, rtol=0, atol=1e-12)
     assert_close(end[:, :2], observation["goal"] - offset * direction, rtol=0, atol=1e-12)
-    assert_close(behind[:, 2], heading, rtol=0, atol=1e-12)
+    assert_close(behind[:, 2], 0.7 * heading, rtol=0, atol=1e-12)
     assert_close(end[:, 2], heading, rtol=0, atol=1e-12)
     assert observation["via_mask"].all()
     assert ((observation["via_phase"].diff(dim=-1) > 0) & (observation["via_phase"][:, 1:] <= 1)).all()

@@ -128,6 +128,31 @@ def test_max_power_is_commanded_and_max_power_measured_is_that_of_wrench_and_twi
     assert_close(out["max_power_measured"], (twist * wrench).sum(-1).abs().max().reshape(1))
 
 
+@pytest.mark.parametrize("dt", [0.01, 0.002])
+def test_work_is_the_size_of_the_commanded_power_summed_over_time(dt):
+    power = torch.tensor([0.5, -4.0, 3.0, 0.0], dtype=F64).repeat(10).unsqueeze(-1)
+    still = torch.zeros(40, 6, dtype=F64)
+    out = measure(still, still, power, MetricsConfig(dt=dt))
+    assert out["work"].item() == pytest.approx(10 * (0.5 + 4.0 + 3.0) * dt)
+
+
+def test_braking_is_work_so_a_sinusoidal_power_does_the_work_of_its_size():
+    t = torch.arange(1000, dtype=F64) * CONFIG.dt  # ten periods in ten seconds
+    power = (1.5 * torch.sin(2 * math.pi * t)).unsqueeze(-1)
+    still = torch.zeros(1000, 6, dtype=F64)
+    assert measure(still, still, power)["work"].item() == pytest.approx(10 * 1.5 * 2 / math.pi, rel=1e-3)
+
+
+def test_work_grows_with_every_step_and_is_that_of_the_command_not_of_the_wrist():
+    twist, wrench = normal(30, 6), normal(30, 6, seed=1)
+    power = normal(30, 1, seed=2)
+    memory = begin_metrics(twist[0], wrench[0], CONFIG)
+    for i in range(30):
+        memory = update_metrics(memory, twist[i], wrench[i], power[i], CONFIG)
+        expected = CONFIG.dt * power[: i + 1].abs().sum()
+        assert summarise_metrics(memory)["work"].item() == pytest.approx(expected.item())
+
+
 def contact(force: list[float]) -> float:
     # A filter whose cutoff is just below half the control rate follows these steps within the step.
     wrench = along_x(torch.tensor(force, dtype=F64))
@@ -150,6 +175,22 @@ def test_no_contact_has_continuity_zero():
 
 def test_one_touch_has_continuity_one():
     assert contact([0.0, 0.0, 5.0, 0.0, 0.0]) == 1.0
+
+
+def test_every_number_of_the_summary_has_a_place_of_its_own_in_the_memory():
+    # Each quantity is driven alone: then it, and what it also defines, is all that differs from an episode of nothing.
+    steps, still = 20, torch.zeros(20, 6, dtype=F64)
+    shake, push = along_x(torch.arange(20, dtype=F64) % 2), along_x(torch.full((20,), 3.0, dtype=F64))
+    turn = torch.nn.functional.pad(torch.full((steps, 1), 3.0, dtype=F64), (3, 2))  # steady, about an axis
+    power = torch.full((steps, 1), 0.5, dtype=F64)
+    driven = {
+        ("max_power", "work"): measure(still, still, power),
+        ("jerk_rms",): measure(shake, still),
+        ("wrench_p95", "contact_continuity"): measure(still, push),
+        ("max_power_measured", "overload_ratio"): measure(turn, turn),
+    }
+    for names, summary in driven.items():
+        assert {name for name, value in summary.items() if value.item() > 1e-9} == set(names)
 
 
 @pytest.mark.parametrize("batch", [(3,), (2, 3)])

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import ppo_ppt_push as recipe
 import pytest
-import torch
 
 from ppt_rl.training import CheckpointMismatch, PPOConfig, find_checkpoint
 from ppt_rl.training.logs import read_scalar
@@ -122,19 +121,6 @@ def test_resuming_with_another_configuration_names_what_differs(tmp_path):
 def test_resuming_without_a_checkpoint_says_what_was_expected(tmp_path):
     with pytest.raises(CheckpointMismatch, match=r"no checkpoint.*expected"):
         recipe.main(tiny(tmp_path, resume=True))
-
-
-def test_the_policy_reads_nothing_privileged(tmp_path):
-    config = tiny(tmp_path)
-    env = recipe.make_env(config, recipe.blank_promp(config))
-    actor, critic = recipe.make_policy(config, env)
-    assert "box_pose" not in actor.in_keys
-    assert "box_pose" in critic.in_keys
-    tensordict = env.reset()
-    with torch.no_grad():
-        first = actor(tensordict.clone())["loc"]
-        tensordict["box_pose"] = torch.randn_like(tensordict["box_pose"])
-        assert torch.equal(actor(tensordict)["loc"], first)
 
 
 def test_a_wrong_option_ends_with_advice_and_no_traceback(tmp_path, root):

@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from ppt_rl.modules import make_actor, make_critic
-from ppt_rl.training.ppo import PPOConfig, _Learner
+from ppt_rl.training.ppo import PPOConfig, _Learner, batch_statistics, control_steps
 
 
 def batch(actor, count=256):
@@ -59,6 +59,97 @@ def test_the_divergence_is_zero_before_an_update_and_positive_after():
     data = batch(ppo.actor).reshape(-1)
     assert float(ppo._divergence(data)) == pytest.approx(0.0, abs=1e-6)
     assert ppo.update(batch(ppo.actor))["kl"] > 0
+
+
+def count_steps(ppo, monkeypatch):
+    """A list that grows with every step of the optimizer, by the number of torch's threads."""
+    steps, step = [], ppo.optimizer.step
+
+    def spy(*args, **kwargs):
+        steps.append(torch.get_num_threads())
+        return step(*args, **kwargs)
+
+    monkeypatch.setattr(ppo.optimizer, "step", spy)
+    return steps
+
+
+@pytest.mark.parametrize(("target_kl", "epochs"), [(1e-9, 1), (1e9, 6)])
+def test_an_update_ends_early_when_the_policy_has_moved_far_enough(target_kl, epochs, monkeypatch):
+    ppo = learner(target_kl=target_kl, epochs=6, minibatches=3)
+    steps = count_steps(ppo, monkeypatch)
+    result = ppo.update(batch(ppo.actor))
+    assert len(steps) == 3 * epochs
+    assert (result["kl"] > 2 * target_kl) == (epochs == 1)
+
+
+def test_the_learning_rate_falls_when_the_policy_moves_too_far_and_rises_when_it_hardly_does():
+    rates = [learner(target_kl=kl, epochs=1, learning_rate=1e-4) for kl in (1e-9, 1e9)]
+    low, high = (ppo.update(batch(ppo.actor))["learning_rate"] for ppo in rates)
+    assert low < 1e-4 < high
+
+
+@pytest.mark.parametrize(("count", "inside"), [(4097, 3), (256, 1)])
+def test_a_large_batch_is_learnt_on_every_cpu_and_the_threads_are_given_back(count, inside, monkeypatch):
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1, 2})
+    assert torch.get_num_threads() == 1
+    ppo = learner(epochs=1, minibatches=1)
+    steps = count_steps(ppo, monkeypatch)
+    ppo.update(batch(ppo.actor, count))
+    assert steps == [inside]
+    assert torch.get_num_threads() == 1
+
+
+def test_the_threads_are_given_back_where_an_update_fails(monkeypatch):
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1, 2})
+    ppo, threads = learner(), []
+
+    def fail():
+        threads.append(torch.get_num_threads())
+        raise RuntimeError("no step")
+
+    monkeypatch.setattr(ppo.optimizer, "step", fail)
+    with pytest.raises(RuntimeError, match="no step"):
+        ppo.update(batch(ppo.actor, 4097))
+    assert threads == [3]
+    assert torch.get_num_threads() == 1
+
+
+# -- what is logged of a batch -----------------------------------------------------------------------------------------
+
+
+def record(ends, **following):
+    """Two environments over four steps; ``ends`` are the steps at which an episode of each is over."""
+    done = torch.zeros(2, 4, 1, dtype=torch.bool)
+    for row, steps in enumerate(ends):
+        done[row, steps] = True
+    step = torch.arange(1.0, 9.0).reshape(2, 4, 1)
+    metrics = TensorDict({"work": step * done, "max_power": 2 * step * done}, [2, 4])
+    terms = TensorDict({"progress": step, "power": -0.1 * step}, [2, 4])
+    data = {
+        "done": done, "reward": step, "success": step > 5, "progress": 0.1 * step, "metrics": metrics,
+        "reward_terms": terms, **following,
+    }  # fmt: skip
+    return TensorDict({"next": TensorDict(data, [2, 4])}, [2, 4])
+
+
+def test_statistics_are_means_over_the_episodes_that_ended_and_rewards_those_of_a_policy_step():
+    found = batch_statistics(record([[3], [1, 3]]))  # steps 1 2 3 4 and 5 6 7 8: episodes end at 4, at 6 and at 8
+    expected = {
+        "reward": 4.5, "reward_progress": 4.5, "reward_power": -0.45, "success": 2 / 3, "progress": 0.6, "work": 6.0,
+        "max_power": 12.0,
+    }  # fmt: skip
+    assert found == pytest.approx(expected)
+
+
+def test_a_batch_in_which_no_episode_ended_tells_its_rewards_only():
+    expected = {"reward": 4.5, "reward_progress": 4.5, "reward_power": -0.45}
+    assert batch_statistics(record([[], []])) == pytest.approx(expected)
+
+
+def test_control_steps_are_those_of_the_macro_steps_or_else_the_number_of_policy_steps():
+    assert control_steps(record([[3], [3]])) == 8
+    counts = torch.tensor([[7, 7, 7, 2], [7, 7, 7, 7]]).unsqueeze(-1)
+    assert control_steps(record([[3], [3]], control_steps=counts)) == 51
 
 
 @pytest.mark.parametrize(("name", "value"), [("epochs", 0), ("clip", -0.1), ("gamma", 1.5), ("learning_rate", -1.0)])

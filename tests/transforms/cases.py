@@ -122,7 +122,7 @@ CASES: dict[str, Case] = {
         nested=_ACTION,
     ),
     "PowerLimitTransform": Case(
-        lambda **kwargs: PowerLimitTransform(12.0, penalty=10.0, terminate=True, **kwargs),
+        lambda **kwargs: PowerLimitTransform(16.0, penalty=10.0, terminate=True, **kwargs),
         written=("cost",),
         forward=("cost",),
         nested={"twist_key": ("agent", "twist"), "wrench_key": ("agent", "wrench")},

@@ -192,9 +192,11 @@ def test_a_partial_reset_starts_the_reference_at_the_measured_pose_only_in_its_r
     ahead = DT * SPEED * action[0]
     last = env._step_mdp(play(env, action.expand(4, 3, 3))[:, -1])
     assert_close(last["reference_position"], tool[:, 0] + 4 * ahead, **EXACT)
-    root = env.reset(last.set("_reset", torch.tensor([[False], [True], [False]])))
+    last["_reset"] = torch.tensor([[False], [True], [False]])
+    own, root = env._reset(last.clone()), env.reset(last.clone())
     following = env.step(root.clone().set("action", action))["next"]
     for row, steps in enumerate((4, 0, 4)):
+        assert_close(own["reference_position"][row], tool[row, 0] + steps * ahead, **EXACT)
         assert_close(root["reference_position"][row], tool[row, 0] + steps * ahead, **EXACT)
         assert_close(following["reference_position"][row], tool[row, 0] + (steps + 1) * ahead, **EXACT)
 

@@ -223,7 +223,7 @@ def test_rows_outside_the_step_mask_stand_still_and_the_others_step(name):
     root["action"] = actions_for(env, 1)[0]
     full = env.step(root.clone())["next"]
     masked = env.step(root.clone().set("_step", torch.tensor([True, False, True])))["next"]
-    outputs = {"control_steps", ("trace", "joint_velocity")}
+    outputs = {"control_steps", ("trace", "joint_velocity"), "cost"}
     for key in leaves(env.observation_spec) | {"reward"}:
         torch.testing.assert_close(masked[key][[0, 2]], full[key][[0, 2]], rtol=0, atol=0)
     for key in leaves(env.base_env.observation_spec) | set(CASES[name].state):

@@ -1,0 +1,441 @@
+import math
+from functools import partial
+
+import numpy as np
+import ppo_ppt_push as recipe
+import pytest
+import torch
+from dm_control import mjcf
+from tensordict import TensorDictBase
+from torch.testing import assert_close
+from torchrl.envs.utils import check_env_specs
+
+from ppt_rl.envs import PandaPushEnv
+from ppt_rl.envs.audit import AUDITED, AuditedPhysics
+from ppt_rl.envs.models import PADDLE, table_scene
+from ppt_rl.envs.physics import PhysicsStep
+from ppt_rl.envs.readings import sensor_span
+from ppt_rl.modules.panda import TORQUE_LIMITS
+from ppt_rl.training import fit_push_prior
+from ppt_rl.transforms import EnergyTankTransform, JointTorqueTransform
+from tests.envs.scenes import act, leaves, rollout, torques
+
+F64 = torch.float64
+H = 0.001  # physics step of the scripted engine [s]
+
+
+# -- closed forms ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def model():
+    """The sensors of the arm, in a world without gravity: the wrist feels the wrench on the world and no weight."""
+    model = mjcf.Physics.from_mjcf_model(table_scene(PADDLE, physics_dt=H)).model.ptr
+    model.opt.gravity[:] = 0.0
+    return model
+
+
+class ScriptedEngine:
+    """Plays one joint velocity and one speed of the tool after the other, against a force of 1 N on the world.
+
+    Args:
+        model: whose sensors it fills.
+        velocity: ``(num_envs, steps, substeps)`` of the second joint [rad/s].
+        speed: likewise, of the tool along y [m/s].
+    """
+
+    def __init__(self, model, velocity, speed=None):
+        self.num_envs = len(velocity)
+        self.model, self.velocity = model, velocity
+        self.speed = np.zeros_like(velocity) if speed is None else speed
+        self.clock = np.zeros(self.num_envs, dtype=int)
+        self.diverging = np.zeros(self.num_envs, dtype=bool)
+
+    def reset(self, rows, joint_position):
+        return np.zeros((len(rows), self.model.nsensordata))
+
+    def step(self, control, rows=None):
+        rows = np.arange(self.num_envs) if rows is None else rows
+        now = self.clock[rows]
+        self.clock[rows] += 1
+        sensors = np.zeros((len(rows), self.velocity.shape[-1], self.model.nsensordata))
+        sensors[..., sensor_span(self.model, "joint_velocity2", "joint_velocity2")] = self.velocity[rows, now, :, None]
+        sensors[..., sensor_span(self.model, "linear_velocity", "linear_velocity").start + 1] = self.speed[rows, now]
+        sensors[..., sensor_span(self.model, "force", "force").start + 1] = 1.0
+        sensors[..., sensor_span(self.model, "orientation", "orientation").start] = 1.0
+        sensors[self.diverging[rows]] = np.nan
+        return PhysicsStep(sensors, self.diverging[rows])
+
+
+def torque(*values):
+    """``(R, 7)`` torques of the second joint, and of the first, which does not move."""
+    control = np.zeros((len(values), 7))
+    control[:, 0], control[:, 1] = 5.0, values
+    return control
+
+
+def books(audited):
+    """The books by name, ``(num_envs,)`` each."""
+    return {name: value.squeeze(-1) for name, value in audited.observe(F64).items()}
+
+
+def test_the_books_are_closed_before_the_first_step(model):
+    audited = AuditedPhysics(ScriptedEngine(model, np.ones((2, 1, 10))), model)
+    assert tuple(audited.observe(torch.float32)) == AUDITED
+    assert all(value.dtype == torch.float32 for value in audited.observe(torch.float32).values())
+    assert all(torch.equal(value, torch.zeros(2, 1, dtype=F64)) for value in audited.observe(F64).values())
+
+
+def test_a_constant_power_does_work_in_proportion_to_time(model):
+    engine = ScriptedEngine(model, np.full((2, 4, 10), 0.5), np.full((2, 4, 10), 0.3))
+    audited = AuditedPhysics(engine, model)
+    for step in range(1, 5):
+        audited.step(torque(2.0, 6.0))
+        seconds = step * 10 * H
+        found = books(audited)
+        assert_close(found["commanded_work"], torch.tensor([1.0, 3.0], dtype=F64) * seconds)
+        assert_close(found["commanded_power"], torch.tensor([1.0, 3.0], dtype=F64))
+        assert_close(found["measured_work"], torch.tensor([0.3, 0.3], dtype=F64) * seconds)
+        assert_close(found["measured_power"], torch.tensor([0.3, 0.3], dtype=F64))
+
+
+def test_braking_counts_like_pushing_so_a_sinusoidal_power_does_the_work_of_its_size(model):
+    phase = 2 * math.pi * np.arange(1000).reshape(1, 20, 50) / 1000  # one period in a second, 20 control steps
+    audited = AuditedPhysics(ScriptedEngine(model, 0.5 * np.sin(phase), 0.3 * np.cos(phase)), model)
+    for _ in range(20):
+        audited.step(torque(4.0))
+    found = books(audited)
+    assert found["commanded_work"].item() == pytest.approx(2.0 * 2 / math.pi, rel=1e-5)
+    assert found["commanded_power"].item() == pytest.approx(2.0)
+    assert found["measured_work"].item() == pytest.approx(0.3 * 2 / math.pi, rel=1e-5)
+    assert found["measured_power"].item() == pytest.approx(0.3)
+
+
+def test_the_largest_power_is_remembered_after_it_has_passed(model):
+    velocity = np.zeros((1, 3, 4))
+    velocity[0, 1, 2] = -3.0  # one substep of the second control step, braking
+    audited = AuditedPhysics(ScriptedEngine(model, velocity), model)
+    peaks = []
+    for _ in range(3):
+        audited.step(torque(2.0))
+        peaks.append(books(audited)["commanded_power"].item())
+    assert peaks == [0.0, 6.0, 6.0]
+    assert books(audited)["commanded_work"].item() == pytest.approx(6.0 * H)
+
+
+def test_a_row_that_diverges_books_nothing_and_goes_on_afterwards(model):
+    engine = ScriptedEngine(model, np.ones((3, 3, 10)), np.ones((3, 3, 10)))
+    audited = AuditedPhysics(engine, model)
+    audited.step(torque(1.0, 1.0, 1.0))
+    engine.diverging[1] = True
+    audited.step(torque(2.0, 2.0, 2.0))
+    found = books(audited)
+    assert_close(found["commanded_work"], torch.tensor([3.0, 1.0, 3.0], dtype=F64) * 10 * H)
+    assert_close(found["commanded_power"], torch.tensor([2.0, 1.0, 2.0], dtype=F64))
+    assert_close(found["measured_work"], torch.tensor([2.0, 1.0, 2.0], dtype=F64) * 10 * H)
+    engine.diverging[1] = False
+    audited.step(torque(4.0, 4.0, 4.0))
+    assert_close(books(audited)["commanded_work"], torch.tensor([7.0, 5.0, 7.0], dtype=F64) * 10 * H)
+
+
+def test_a_reset_opens_the_books_of_its_rows_only(model):
+    audited = AuditedPhysics(ScriptedEngine(model, np.ones((4, 2, 10)), np.ones((4, 2, 10))), model)
+    audited.step(torque(1.0, 2.0, 3.0, 4.0))
+    audited.reset(np.array([2, 0]), np.zeros((2, 7)))
+    found = books(audited)
+    assert_close(found["commanded_power"], torch.tensor([0.0, 2.0, 0.0, 4.0], dtype=F64))
+    assert_close(found["commanded_work"], torch.tensor([0.0, 2.0, 0.0, 4.0], dtype=F64) * 10 * H)
+    assert_close(found["measured_work"], torch.tensor([0.0, 1.0, 0.0, 1.0], dtype=F64) * 10 * H)
+    assert_close(found["measured_power"], torch.tensor([0.0, 1.0, 0.0, 1.0], dtype=F64))
+
+
+def test_a_step_of_some_rows_in_any_order_books_for_them_alone(model):
+    audited = AuditedPhysics(ScriptedEngine(model, np.ones((4, 2, 10))), model)
+    audited.step(torque(1.0, 1.0, 1.0, 1.0))
+    audited.step(torque(3.0, 2.0), np.array([3, 1]))
+    found = books(audited)
+    assert_close(found["commanded_work"], torch.tensor([1.0, 3.0, 1.0, 4.0], dtype=F64) * 10 * H)
+    assert_close(found["commanded_power"], torch.tensor([1.0, 2.0, 1.0, 3.0], dtype=F64))
+
+
+def test_what_was_observed_does_not_change_with_the_next_step(model):
+    audited = AuditedPhysics(ScriptedEngine(model, np.ones((1, 2, 10))), model)
+    audited.step(torque(1.0))
+    kept = audited.observe(F64)
+    copy = {name: value.clone() for name, value in kept.items()}
+    audited.step(torque(1.0))
+    assert all(torch.equal(kept[name], copy[name]) for name in AUDITED)
+
+
+# -- on the arm --------------------------------------------------------------------------------------------------------
+
+
+def push(audit=True, **changes):
+    """Two short pushing episodes."""
+    settings = {"num_envs": 2, "duration": 0.2, "physics_dt": 0.002, "num_threads": 1, "seed": 0, "audit": audit}
+    return PandaPushEnv(**{**settings, **changes})
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_an_audited_environment_returns_what_its_specs_say(dtype):
+    check_env_specs(push(dtype=dtype))
+
+
+def test_the_audit_changes_nothing_else_of_a_rollout():
+    env = push()
+    actions = torques(env, 25, scale=0.1)  # into the second episode
+    audited, plain = leaves(rollout(env, actions)), leaves(rollout(push(audit=False), actions))
+    added = {f"{nest}audit/{name}" for nest in ("", "next/") for name in AUDITED}
+    assert audited.keys() - plain.keys() == added
+    assert plain.keys() < audited.keys()
+    for name, value in plain.items():
+        assert torch.equal(value, audited[name]), name
+
+
+def test_the_books_grow_within_an_episode_and_open_again_with_the_next():
+    env = push()
+    run = rollout(env, torques(env, 45, scale=0.1))
+    for name in AUDITED:
+        value = run["next", "audit", name].squeeze(-1)
+        first, second = value[:, :20], value[:, 20:40]
+        assert (value > 0).all(), name
+        for episode in (first, second):
+            assert (episode.diff(dim=1) >= 0).all(), name
+            assert (episode[:, -1] > episode[:, 0]).all(), name
+        assert (run["audit", name][:, [0, 20, 40]] == 0).all(), name
+        assert (second[:, 0] < first[:, -1]).all(), name
+
+
+def test_a_partial_reset_opens_the_books_of_its_rows_only_and_a_masked_row_books_nothing():
+    env = push(num_envs=3)
+    torque = torques(env, 4, scale=0.1)
+    observation = act(env, env.reset(), torque[:, 0])
+    reset = env.reset(observation.copy().set("_reset", torch.tensor([[True], [False], [False]])))
+    mask = torch.tensor([False, True, False])
+    after = act(env, reset.copy().set("_step", mask), torque[:, 1])
+    for name in AUDITED:
+        old, opened, new = (each["audit", name].squeeze(-1) for each in (observation, reset, after))
+        assert (old > 0).all(), name
+        assert opened[0] == 0, name
+        assert torch.equal(opened[1:], old[1:]), name
+        assert torch.equal(new[~mask], opened[~mask]), name
+    work = "audit", "commanded_work"
+    assert after[work][1] > reset[work][1]
+
+
+def test_a_row_whose_physics_blows_up_keeps_its_books():
+    env = push()
+    torque = torques(env, 2, scale=0.1)
+    before = act(env, env.reset(), torque[:, 0])
+    env.engine._state[1, 3] = np.nan
+    after = act(env, before, torque[:, 1])
+    assert after["diverged"].squeeze(-1).tolist() == [False, True]
+    for name in AUDITED:
+        assert torch.equal(after["audit", name][1], before["audit", name][1]), name
+    assert after["audit", "commanded_work"][0] > before["audit", "commanded_work"][0]
+
+
+def test_the_commanded_work_is_that_of_the_torques_that_reach_the_engine_over_every_substep(monkeypatch):
+    env = push(dtype=F64)
+    inner, work, peak = env.engine._engine, torch.zeros(2, dtype=F64), torch.zeros(2, dtype=F64)
+    velocity = sensor_span(inner.models[0], "joint_velocity1", "joint_velocity7")
+    step = inner.step
+
+    def spy(control, rows=None):
+        result = step(control, rows)
+        assert result.sensors.shape[:2] == (2, 5)
+        power = np.einsum("rj,rkj->rk", control, result.sensors[..., velocity])
+        work.add_(torch.from_numpy(np.abs(power).sum(-1) * 0.002))
+        peak.copy_(torch.maximum(peak, torch.from_numpy(np.abs(power).max(-1))))
+        return result
+
+    monkeypatch.setattr(inner, "step", spy)
+    run = rollout(env, torques(env, 15, scale=0.1))["next", "audit"]
+    assert_close(run["commanded_work"][:, -1, 0], work)
+    assert_close(run["commanded_power"][:, -1, 0], peak)
+
+
+def test_at_the_rate_of_the_physics_the_audit_adds_up_what_is_observed():
+    env = push(control_dt=0.002, duration=0.1, dtype=F64)
+    action = torques(env, 40, scale=1.3)  # some of them above the limits
+    limit = torch.tensor(TORQUE_LIMITS, dtype=F64)
+    assert (action.abs() > limit).any()
+    run = rollout(env, action)
+    after = run["next"]
+    # What is observed after a step was read at the beginning of its only substep, with the torque already on.
+    commanded = (action.clamp(-limit, limit) * after["joint_velocity"]).sum(-1, keepdim=True).abs()
+    measured = (after["wrench"] * after["twist"]).sum(-1, keepdim=True).abs()
+    for name, power in (("commanded", commanded), ("measured", measured)):
+        assert_close(after["audit", f"{name}_work"], 0.002 * power.cumsum(1))
+        assert_close(after["audit", f"{name}_power"], power.cummax(1).values)
+    early = (action.clamp(-limit, limit) * run["joint_velocity"]).sum(-1).abs().sum(1) * 0.002
+    assert (early / after["audit", "commanded_work"][:, -1, 0] - 1).abs().max() > 0.01  # one substep off is seen
+
+
+# -- the books of the tank against the audit ---------------------------------------------------------------------------
+#
+# The tank books |wrench . twist| dt at control rate, from the twist that it saw. The audit integrates |tau . qdot| over
+# every substep of the physics, from sensors that no transform touches. What the two may differ by: the twist changes
+# while the wrench is held, and the posture torque, which the wrench does not know of, damps the elbow.
+
+ULP = torch.finfo(torch.float32).eps
+
+
+@pytest.fixture(scope="module")
+def promp():
+    return fit_push_prior(recipe.make_modules(recipe.Config())["promp"])
+
+
+def pushed(promp, *, steps=0, tank=None, posture=True, **changes) -> tuple[recipe.Config, TensorDictBase]:
+    """Eight audited episodes of PPT's own chain without a residual, or their first ``steps`` control steps."""
+    config = recipe.Config(num_threads=1, duration=3.0, physics_dt=0.001, replan_steps=steps, **changes)
+    with pytest.MonkeyPatch.context() as patch:
+        if tank is not None:
+            patch.setattr(recipe, "EnergyTankTransform", tank)
+        if not posture:
+            without = partial(JointTorqueTransform, posture_stiffness=0.0, posture_damping=0.0)
+            patch.setattr(recipe, "JointTorqueTransform", without)
+        env = recipe.make_env(config, promp, num_envs=8, seed=0, audit=True)
+    root = env.reset()
+    assert (root["tank_energy"] == config.e_max).all()
+    after = env.step(root.set("action", env.action_spec.zero()))["next"]
+    assert not after["diverged"].any()
+    env.close()
+    return config, after
+
+
+def check_books(config: recipe.Config, after: TensorDictBase, tolerance: float) -> None:
+    """The energy that left the tank is the work that the audit saw, but for a share of it.
+
+    The books are taken from the level alone: whatever a tank says elsewhere, it cannot hide. Differences of different
+    episodes do not cancel.
+    """
+    booked = config.e_max - after["tank_energy"].double()  # [J]
+    audited = after["audit", "commanded_work"].double()
+    gap = float((audited - booked).abs().sum() / booked.sum())
+    assert gap < tolerance, f"books are off by {gap:.2%} of what they say"
+
+
+def test_the_books_of_the_tank_are_its_own_and_agree_with_the_audit_up_to_the_posture(promp):
+    config, after = pushed(promp)
+    assert after["done"].all()
+    booked, work = config.e_max - after["tank_energy"], after["metrics", "work"]
+    # Each of the 300 steps rounds the level down by four units in the last place, the sums by half a unit.
+    assert (booked >= work).all()
+    assert (booked - work <= 300 * 5 * ULP * config.e_max).all()
+    assert (booked > 0.3).all()
+    # Measured: 3.7 % for these episodes, 3.5 to 3.9 % for sets of 64, never above 6.0 % for one of them. Without the
+    # posture torque it is 0.1 %, so that torque is what the gap is made of.
+    check_books(config, after, 0.06)
+
+
+def test_without_the_posture_torque_the_books_agree_with_the_audit_within_half_a_percent(promp):
+    config, after = pushed(promp, posture=False)
+    assert after["done"].all()
+    assert (config.e_max - after["tank_energy"] > 0.3).all()
+    check_books(config, after, 0.005)  # measured: 0.1 %, and at most 0.23 % for one of 128 episodes
+
+
+#: The first second of an episode with the valve at work in half of the rows: else two wrong tanks below were right.
+SECOND = {"steps": 100, "posture": False, "p_max": 0.5}
+TOLERANCE = 0.02  # measured: 0.6 %, and 0.7 to 0.9 % for sets of 64
+
+
+def test_the_books_agree_with_the_audit_while_the_valve_throttles(promp):
+    config, after = pushed(promp, **SECOND)
+    assert (after["control_steps"] == 100).all()
+    check_books(config, after, TOLERANCE)
+
+
+class ShortStepTank(EnergyTankTransform):
+    """Takes the control step for a tenth of what it is."""
+
+    def __init__(self, *, dt: float, **kwargs):
+        super().__init__(dt=dt / 10, **kwargs)
+
+
+class BlindTank(EnergyTankTransform):
+    """Its flow is zero."""
+
+    def _flow(self, tensordict, effort):
+        return torch.zeros_like(effort)
+
+
+class LateTank(EnergyTankTransform):
+    """Its flow is five control steps old."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.seen = []
+
+    def _flow(self, tensordict, effort):
+        self.seen.append(super()._flow(tensordict, effort))
+        return self.seen[max(0, len(self.seen) - 6)]
+
+
+class OneAxisBlindTank(EnergyTankTransform):
+    """It does not see the tool move along x."""
+
+    def _flow(self, tensordict, effort):
+        return super()._flow(tensordict, effort) * torch.tensor([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+
+
+class LouderAfterTank(EnergyTankTransform):
+    """What comes after it doubles the wrench, as where the tank stands before a gain."""
+
+    def _inv_call(self, tensordict):
+        tensordict = super()._inv_call(tensordict)
+        return tensordict.set("action", 2 * tensordict["action"])
+
+
+class BypassedTank(EnergyTankTransform):
+    """It books as if its valve acted, and the wrench passes by it."""
+
+    def _inv_call(self, tensordict):
+        wrench = tensordict["action"]
+        return super()._inv_call(tensordict).set("action", wrench)
+
+
+class NominalTank(EnergyTankTransform):
+    """It charges what it was asked for, not what its valve let through."""
+
+    def _inv_call(self, tensordict):
+        effort, level = tensordict["action"], tensordict["tank_energy"]
+        power = (effort * self._flow(tensordict, effort)).sum(-1, keepdim=True).abs()
+        tensordict = super()._inv_call(tensordict)
+        self._stash(tensordict, "tank_energy", (level - power * self.dt).clamp(0.0, self.e_max))
+        return tensordict
+
+
+class FreeBrakesTank(EnergyTankTransform):
+    """It charges pushing only; the audit, like the paper, charges braking as well."""
+
+    def _inv_call(self, tensordict):
+        effort, level = tensordict["action"], tensordict["tank_energy"]
+        brakes = (effort * self._flow(tensordict, effort)).sum(-1, keepdim=True) < 0
+        tensordict = super()._inv_call(tensordict)
+        self._stash(tensordict, "tank_energy", torch.where(brakes, level, tensordict["_tank_energy"]))
+        return tensordict
+
+
+class RefilledTank(EnergyTankTransform):
+    """A millijoule comes back from nowhere with every control step."""
+
+    def _inv_call(self, tensordict):
+        tensordict["tank_energy"] = (tensordict["tank_energy"] + 0.001).clamp_max(self.e_max)
+        return super()._inv_call(tensordict)
+
+
+# A flow of the wrong sign is not among them: the tank takes the size of the power, so such a tank is a right one. Nor
+# is a flow that is one control step old: it moves these books by 1.6 %, which the tolerance lets pass.
+@pytest.mark.parametrize(
+    "tank",
+    [
+        ShortStepTank, BlindTank, LateTank, OneAxisBlindTank, LouderAfterTank, BypassedTank, NominalTank,
+        FreeBrakesTank, RefilledTank,
+    ],
+)  # fmt: skip
+def test_a_wrong_tank_is_caught_by_the_same_check(promp, tank):
+    config, after = pushed(promp, tank=tank, **SECOND)
+    with pytest.raises(AssertionError, match="books are off"):
+        check_books(config, after, TOLERANCE)

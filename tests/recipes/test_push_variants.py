@@ -1,0 +1,358 @@
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import evaluate
+import numpy as np
+import pytest
+import torch
+from registry import RECIPES, load_policy, recipe_of, restored_config
+from tensordict import TensorDictBase
+from torch import nn
+from torchrl.checkpoint import Checkpoint
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from ppt_rl.training import (
+    REPORTED,
+    CheckpointMismatch,
+    PPOConfig,
+    as_json,
+    checkpoint_info,
+    find_checkpoint,
+    record_episodes,
+    save_pretrained,
+)
+from ppt_rl.training.logs import read_scalar
+
+STEPS = 20  # control steps of an episode
+PUSH = ["JointTorqueTransform", "EnergyTankTransform", "ImpedanceTransform", "EpisodeMetricsTransform"]
+PROMP = ["MacroStepTransform", "ProMPTransform", "ViaPointTransform"]
+STEPWISE = ["CartesianVelocityTransform", "StepCounter", "UnaryTransform"]
+#: Transforms of each variant in order; the tank acts at control rate, so it stands before the macro step.
+CHAINS = {
+    "pp_push": [PUSH[0], *PUSH[2:], *PROMP],
+    "ppt_push": [*PUSH, *PROMP],
+    "s_push": [PUSH[0], *PUSH[2:], *STEPWISE],
+    "st_push": [*PUSH, *STEPWISE],
+}
+KNOWN = ["box_start", "goal", "box_size", "pose", "twist", "wrench", "phase"]
+#: What each policy reads besides.
+EXTRA = {
+    "pp_push": [],
+    "ppt_push": ["tank_energy", "valve"],
+    "s_push": ["reference_position"],
+    "st_push": ["reference_position", "tank_energy", "valve"],
+}
+variants = pytest.mark.parametrize("variant", sorted(CHAINS))
+
+
+def tiny(variant: str, run_dir: Path) -> Any:
+    """Options of a training of two batches, an episode of four environments each."""
+    recipe = recipe_of(variant)
+    shape = {"rollout_steps": STEPS} if variant in ("s_push", "st_push") else {"num_basis": 4}
+    ppo = PPOConfig(total_control_steps=2 * 4 * STEPS, epochs=2, minibatches=2)
+    return recipe.Config(run_dir=run_dir, num_envs=4, num_threads=1, duration=0.2, physics_dt=0.002, ppo=ppo, **shape)
+
+
+class Trained(NamedTuple):
+    """A finished training: its checkpoint, and what it left in memory."""
+
+    path: Path
+    config: Any
+    actor: nn.Module
+    critic: nn.Module
+    modules: dict[str, nn.Module]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trained]:
+    """A tiny training of each variant."""
+    runs = {}
+    for variant in sorted(CHAINS):
+        recipe, made = recipe_of(variant), {}
+
+        def keep(name, make, made=made):
+            return lambda *args: made.setdefault(name, make(*args))
+
+        config = tiny(variant, tmp_path_factory.mktemp(variant))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(recipe, "make_policy", keep("policy", recipe.make_policy))
+            patch.setattr(recipe, "make_modules", keep("modules", recipe.make_modules))
+            path = recipe.main(config)
+        runs[variant] = Trained(path, config, *made["policy"], made.get("modules", {}))
+    return runs
+
+
+@torch.no_grad()
+def episode(env: EnvBase, actor: nn.Module) -> TensorDictBase:
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        return env.rollout(STEPS, actor)
+
+
+def chain(env: EnvBase) -> list[str]:
+    return [type(transform).__name__ for transform in env.transform]
+
+
+# -- the variants ------------------------------------------------------------------------------------------------------
+
+
+def test_the_registry_knows_every_pushing_recipe_by_its_own_name(root):
+    files = {path.stem for path in (root / "recipes").glob("ppo_*_push.py")}
+    assert set(RECIPES.values()) == files
+    assert {name: recipe_of(name).VARIANT for name in RECIPES} == {name: name for name in CHAINS}
+
+
+@variants
+def test_the_chain_of_a_variant_is_what_its_name_says(variant, tmp_path):
+    config = tiny(variant, tmp_path)
+    recipe = recipe_of(variant)
+    env = recipe.make_env(config, *recipe.make_modules(config).values())
+    assert chain(env) == CHAINS[variant]
+    assert ("tank_energy" in env.observation_spec.keys()) == variant.endswith("t_push")
+
+
+@variants
+def test_the_tank_and_its_metrics_have_the_limits_of_the_options(variant, tmp_path):
+    config = replace(tiny(variant, tmp_path), p_max=1.25)
+    recipe = recipe_of(variant)
+    parts = {
+        type(part).__name__: part for part in recipe.make_env(config, *recipe.make_modules(config).values()).transform
+    }
+    assert parts["EpisodeMetricsTransform"].config.p_max == 1.25
+    if variant.endswith("t_push"):
+        tank = parts["EnergyTankTransform"]
+        assert (tank.p_max, tank.e_max, tank.dt) == (1.25, config.e_max, config.control_dt)
+
+
+@variants
+def test_the_policy_reads_nothing_privileged_and_the_critic_does(variant, tmp_path):
+    config = tiny(variant, tmp_path)
+    recipe = recipe_of(variant)
+    env = recipe.make_env(config, *recipe.make_modules(config).values(), audit=True)
+    actor, critic = recipe.make_policy(config, env)
+    assert sorted(actor.in_keys) == sorted(KNOWN + EXTRA[variant])
+    assert sorted(critic.in_keys) == sorted([*KNOWN, *EXTRA[variant], "box_pose"])
+    tensordict = env.reset()
+    with torch.no_grad():
+        action, value = actor(tensordict.clone())["loc"], critic(tensordict.clone())["state_value"]
+        known = tensordict.select(*actor.in_keys)
+        assert torch.equal(actor(known.clone())["loc"], action)
+        tensordict["box_pose"] = torch.randn_like(tensordict["box_pose"])
+        assert torch.equal(actor(tensordict.clone())["loc"], action)
+        assert not torch.equal(critic(tensordict.clone())["state_value"], value)
+        for key in actor.in_keys:  # each of them counts
+            other = known.clone()
+            other[key] = other[key] + 1.0
+            assert not torch.equal(actor(other)["loc"], action), key
+
+
+@pytest.mark.parametrize("variant", ["s_push", "st_push"])
+def test_the_phase_of_a_stepwise_policy_is_the_part_of_the_episode_that_is_over(variant, tmp_path):
+    env = recipe_of(variant).make_env(tiny(variant, tmp_path))
+    run = env.rollout(STEPS + 3, lambda td: td.set("action", env.action_spec.zero()), break_when_any_done=False)
+    expected = torch.cat([torch.arange(STEPS), torch.arange(3)]) / STEPS
+    torch.testing.assert_close(run["phase"][0, :, 0], expected)
+
+
+# -- training and bringing back ----------------------------------------------------------------------------------------
+
+
+@variants
+def test_a_tiny_training_leaves_a_checkpoint_logs_and_a_policy_that_has_learnt_something(trained, variant):
+    run = trained[variant]
+    assert run.path == find_checkpoint(run.config.run_dir)
+    assert checkpoint_info(run.path, variant)["config"] == as_json(run.config)
+    for name in ("reward", "success", "work", "max_power", "kl"):
+        steps, values = read_scalar(run.config.run_dir, name)
+        assert steps.tolist() == [4 * STEPS, 8 * STEPS]
+        assert np.isfinite(values).all()
+    torch.manual_seed(run.config.seed)
+    recipe = recipe_of(variant)
+    blank, _ = recipe.make_policy(run.config, recipe.make_env(run.config, *run.modules.values()))
+    assert all(not torch.equal(a, b) for a, b in zip(blank.parameters(), run.actor.parameters(), strict=True))
+
+
+@variants
+def test_a_checkpoint_brings_back_the_policy_with_its_chain_to_the_bit(trained, variant):
+    run = trained[variant]
+    policy = load_policy(run.path)
+    assert (policy.variant, policy.recipe.VARIANT, policy.config) == (variant, variant, run.config)
+    assert list(policy.modules) == list(run.modules)
+    recipe = recipe_of(variant)
+    there = episode(recipe.make_env(run.config, *run.modules.values(), num_envs=3, seed=17), run.actor)
+    back = episode(policy.make_env(num_envs=3, seed=17), policy.actor)
+    assert there["next", "done"][:, -1].all()
+    for key in ("action", ("next", "pose"), ("next", "reward"), ("next", "metrics", "work")):
+        assert torch.equal(there[key], back[key]), key
+    other = episode(policy.make_env(num_envs=3, seed=18), policy.actor)
+    assert not torch.equal(there["action"], other["action"])
+
+
+@variants
+def test_a_run_directory_stands_for_its_newest_checkpoint(trained, variant):
+    run = trained[variant]
+    for a, b in zip(load_policy(run.config.run_dir).actor.parameters(), run.actor.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
+@variants
+def test_the_evaluated_environment_hides_what_is_privileged(trained, variant):
+    policy = load_policy(trained[variant].path)
+    env = policy.make_env(num_envs=2, seed=0, audit=True)
+    assert chain(env) == [*CHAINS[variant], "ExcludeTransform"]
+    run = episode(env, policy.actor)
+    assert "box_pose" not in env.observation_spec.keys()
+    assert not [key for key in run.keys(True, True) if "box_pose" in key]
+    assert (run["next", "audit", "commanded_work"][:, -1] > 0).all()
+    assert "box_pose" in policy.make_env(num_envs=2, seed=0, privileged=True).reset().keys()
+
+
+def test_options_of_the_environment_can_be_changed_for_an_evaluation(trained):
+    env = load_policy(trained["s_push"].path).make_env(num_envs=3, seed=0, box_sizes=(0.08,), num_threads=1)
+    assert (env.reset()["box_size"] == 0.08).all()
+
+
+# -- the command line of the evaluation --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def without_video(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a machine that cannot draw: pictures take seconds, and test_evaluate.py makes them."""
+    monkeypatch.setattr("ppt_rl.envs.rendering.rendering_backend", lambda: "disable")
+
+
+def evaluated(path: Path, **options: Any) -> dict[str, Any]:
+    """Rows of the report of an evaluation."""
+    evaluate.main(evaluate.Config(path, episodes=4, num_envs=4, num_threads=1, **options))
+    return json.loads((options["report"] / "evaluation.json").read_text())
+
+
+@pytest.mark.usefixtures("without_video")
+def test_a_stepwise_policy_has_a_report_of_its_own(trained, tmp_path):
+    rows = evaluated(trained["s_push"].path, report=tmp_path, per_box=True)
+    assert list(rows) == ["s_push, box 6 and 8 cm", "s_push, box 6 cm", "s_push, box 8 cm"]
+    assert all(list(row) == list(REPORTED) for row in rows.values())
+    names = {"evaluation.md", "evaluation.json", "audit.json", "episodes.csv", "episode.png", "training.png"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    head, *lines = (tmp_path / "episodes.csv").read_text().splitlines()
+    assert len(lines) == 3 * 4
+    column = head.split(",").index("audit_commanded_work") - len(head.split(","))  # the first one has commas in it
+    assert all(float(line.split(",")[column]) > 0 for line in lines)
+
+
+@variants
+def test_a_recorded_episode_holds_what_was_seen_after_each_of_its_control_steps(trained, variant):
+    policy = load_policy(trained[variant].path)
+    recorded = record_episodes(policy.make_env(num_envs=2, seed=4), policy.actor, ["pose", "power"])
+    assert recorded["trace", "pose"].shape == (2, STEPS, 7)
+    assert recorded["control_steps"].tolist() == [[STEPS]] * 2
+    run = episode(policy.make_env(num_envs=2, seed=4), policy.actor)["next"]
+    assert torch.equal(recorded["trace", "pose"][:, -1], run["pose"][:, -1])
+    assert torch.equal(recorded["metrics", "work"], run["metrics", "work"][:, -1])
+    work = 0.01 * recorded["trace", "power"].abs().sum(1)
+    torch.testing.assert_close(recorded["metrics", "work"], work)
+    if variant in ("s_push", "st_push"):
+        assert torch.equal(recorded["trace", "pose"], run["pose"])
+
+
+@pytest.mark.parametrize("variant", ["s_push", "st_push"])
+def test_a_stepwise_policy_has_no_reference_to_run_alone(trained, variant):
+    with pytest.raises(ValueError, match=f"{variant} has no reference to run alone; leave --baseline out"):
+        evaluate.main(evaluate.Config(trained[variant].path, episodes=2, baseline=True))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"colour": "red"}, "another version of s_push: options colour"),
+        ({"max_lead": None}, "another version of s_push: options max_lead"),
+        ({"ppo": {"epochs": 0}}, "options that do not fit s_push .*epochs is 0"),
+        ({"ppo": {"tempo": 1}}, "options that do not fit s_push .*tempo"),
+        ({"box_sizes": 3}, "options that do not fit s_push"),
+    ],
+)
+def test_a_checkpoint_with_options_that_the_recipe_does_not_have_is_refused(trained, tmp_path, change, message):
+    run = trained["s_push"]
+    settings = {key: value for key, value in (as_json(run.config) | change).items() if value is not None}
+    with pytest.raises(CheckpointMismatch, match=message):
+        restored_config(recipe_of("s_push"), settings, run.path)
+    path = tmp_path / "edited.torchrl"
+    metadata = {"variant": "s_push", "config": settings, "success": 0.0}
+    Checkpoint(format="archive", actor=run.actor).save(path, metadata=metadata)
+    with pytest.raises(CheckpointMismatch, match=message):
+        load_policy(path)
+
+
+def test_options_come_back_from_their_json_as_they_were(trained):
+    for variant, run in trained.items():
+        assert restored_config(recipe_of(variant), as_json(run.config) | {"variant": variant}, run.path) == run.config
+
+
+def test_a_checkpoint_of_one_variant_does_not_fit_another(trained, tmp_path):
+    path = tmp_path / "edited.torchrl"
+    run = trained["pp_push"]
+    settings = as_json(run.config) | {"e_max": 3.0}
+    metadata = {"variant": "ppt_push", "config": settings, "success": 0.0}
+    Checkpoint(format="archive", actor=run.actor, **run.modules).save(path, metadata=metadata)
+    with pytest.raises(CheckpointMismatch, match="does not fit"):
+        load_policy(path)
+
+
+# -- published policies ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def published(trained, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Directory of a published PPT policy."""
+    run, directory = trained["ppt_push"], tmp_path_factory.mktemp("published")
+    card = {"variant": "ppt_push", "config": as_json(run.config)}
+    save_pretrained(directory, {"actor": run.actor, **run.modules}, card)
+    return directory
+
+
+@pytest.mark.usefixtures("without_video")
+def test_a_published_policy_is_evaluated_like_the_checkpoint_it_comes_from(trained, published, tmp_path):
+    mine = evaluated(published, report=tmp_path / "published", seed=3, baseline=True)
+    theirs = evaluated(trained["ppt_push"].path, report=tmp_path / "checkpoint", seed=3, baseline=True)
+    assert mine == theirs
+    with_policy, alone = mine.values()
+    assert with_policy != alone
+    texts = [(tmp_path / name / "episodes.csv").read_text() for name in ("published", "checkpoint")]
+    assert texts[0] == texts[1]
+    assert not (tmp_path / "published" / "training.png").exists()  # no logs are published
+
+
+def damaged(published: Path, place: Path, name: str) -> Path:
+    """A copy of a published policy with one byte of a file flipped."""
+    copy = Path(shutil.copytree(published, place / "copy"))
+    data = bytearray((copy / name).read_bytes())
+    data[len(data) // 2] ^= 0x01
+    (copy / name).write_bytes(data)
+    return copy
+
+
+def test_a_published_policy_that_was_tampered_with_ends_the_program_with_advice(published, tmp_path, root):
+    copy = damaged(published, tmp_path, "policy.safetensors")
+    run = subprocess.run(
+        [sys.executable, "recipes/evaluate.py", str(copy), "--episodes", "2"], cwd=root, capture_output=True, text=True
+    )
+    assert run.returncode == 2
+    assert "SHA-256" in run.stderr
+    assert "Take a fresh copy" in run.stderr
+    assert "Traceback" not in run.stderr
+    assert run.stdout == ""
+
+
+def test_a_card_of_a_variant_that_does_not_exist_is_refused(published, tmp_path):
+    copy = Path(shutil.copytree(published, tmp_path / "copy"))
+    card = json.loads((copy / "card.json").read_text())
+    (copy / "card.json").write_text(json.dumps(card | {"variant": "os.system"}))
+    with pytest.raises(CheckpointMismatch, match=r"'os\.system' is unknown; expected one of"):
+        load_policy(copy)
