@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -46,6 +46,8 @@ class Config:
         num_envs: environments that step together.
         num_threads: physics threads; 0 takes one per CPU.
         box_sizes: edges of the boxes to draw from [m]; by default those of the training.
+        p_max: power limit of the tank [W]; by default that of the training.
+        e_max: capacity of the tank [J]; by default that of the training.
         per_box: add a row for each box size on its own.
         baseline: add rows for the reference alone, the policy's residual set to zero.
         json: end with one line of JSON: the metrics of the first row.
@@ -60,6 +62,8 @@ class Config:
     num_envs: int = 128
     num_threads: int = 0
     box_sizes: tuple[float, ...] = ()
+    p_max: float | None = None
+    e_max: float | None = None
     per_box: bool = False
     baseline: bool = False
     json: bool = False
@@ -81,6 +85,7 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
 def main(run: Config) -> None:
     """Evaluate and report."""
     policy = load_policy(run.checkpoint)
+    limits = tank_limits(run, policy)
     boxes = run.box_sizes or policy.config.box_sizes
     groups = [boxes] + [(size,) for size in boxes if run.per_box and len(boxes) > 1]
     actors: dict[str, Any] = {policy.variant: policy.actor}
@@ -97,14 +102,23 @@ def main(run: Config) -> None:
                 audit=True,
                 box_sizes=group,
                 num_threads=run.num_threads,
+                **limits,
             )
             label = f"{name}, box {' and '.join(f'{100 * size:.0f}' for size in group)} cm"
             results[label] = run_episodes(env, actor, run.episodes)
             env.close()
     report(run, results)
-    draw(run, policy, boxes)
+    draw(run, policy._replace(config=replace(policy.config, **limits)), boxes)
     if run.json:
         print(json.dumps(summarise(next(iter(results.values())))))
+
+
+def tank_limits(run: Config, policy: Policy) -> dict[str, Any]:
+    """Limits that were asked for; a variant without a tank has none."""
+    limits = {name: value for name in ("p_max", "e_max") if (value := getattr(run, name)) is not None}
+    if limits and not hasattr(policy.config, "e_max"):
+        raise ValueError(f"{policy.variant} has no tank; leave {', '.join('--' + name for name in limits)} out.")
+    return limits
 
 
 def report(run: Config, results: dict[str, dict[str, np.ndarray]]) -> None:

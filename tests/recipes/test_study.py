@@ -25,8 +25,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def tiny(place: Path, **changes: object) -> study.Config:
     config = study.Config(
-        seeds=1, runs=place / "runs", results=place / "results", pretrained=place / "pretrained", episodes=4, num_envs=4,
-        num_threads=1, total_control_steps=240, duration=0.2, physics_dt=0.002,
+        seeds=1, runs=place / "runs", results=place / "results", pretrained=place / "pretrained", episodes=4,
+        num_envs=4, num_threads=1, total_control_steps=240, duration=0.2, physics_dt=0.002,
     )  # fmt: skip
     return replace(config, **changes)
 
