@@ -14,7 +14,7 @@ from torchrl.envs import Compose, TransformedEnv
 from ppt_rl.modules import PandaKinematics, ProMP, TaskSpace
 from ppt_rl.training import (
     PUSH_AXES,
-    PushConfig,
+    EpisodeLevelConfig,
     fit_push_prior,
     make_push_controller,
     make_push_env,
@@ -36,28 +36,10 @@ VARIANT = "pp_push"
 
 
 @dataclass(frozen=True)
-class Config(PushConfig):
-    """Train PP (ProMP + PPO) on box pushing.
-
-    Attributes:
-        num_basis: basis functions of the ProMP for each of x, y and yaw.
-        replan_steps: control steps between policy steps; 0 is one policy step per episode.
-        residual_position: how far a residual of 1 moves a weight in x and y [m].
-        residual_yaw: how far a residual of 1 moves a weight in yaw [rad].
-        initial_scale: standard deviation of the untrained policy, in residuals [-].
-    """
+class Config(EpisodeLevelConfig):
+    """Train PP (ProMP + PPO) on box pushing."""
 
     run_dir: Path = Path("runs/pp_push")
-    num_basis: int = 8
-    replan_steps: int = 0
-    residual_position: float = 0.03
-    residual_yaw: float = 0.3
-    initial_scale: float = 0.25
-
-    @property
-    def chunk(self) -> int:
-        """Control steps of a policy step."""
-        return self.replan_steps or self.horizon
 
 
 def make_modules(config: Config) -> dict[str, ProMP]:
@@ -70,7 +52,6 @@ def make_env(
 ) -> TransformedEnv:
     """The pushing environment with PP's chain: what stands above the macro step runs at control rate."""
     base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
-    residual = (config.residual_position, config.residual_position, config.residual_yaw)
     return TransformedEnv(
         base,
         Compose(
@@ -79,7 +60,11 @@ def make_env(
             EpisodeMetricsTransform(push_metrics(config)),
             MacroStepTransform(config.chunk, discount=config.ppo.gamma),
             ProMPTransform(
-                promp, TaskSpace(PUSH_AXES, base.start_pose), residual_scale=residual, replan_steps=config.chunk, dt=dt
+                promp,
+                TaskSpace(PUSH_AXES, base.start_pose),
+                residual_scale=config.residual_scale,
+                replan_steps=config.chunk,
+                dt=dt,
             ),
             ViaPointTransform(promp),
         ),
@@ -97,8 +82,7 @@ def main(config: Config) -> Path:
     modules = make_modules(config)
     fit_push_prior(modules["promp"])  # from scripted demonstrations
     env = make_env(config, modules["promp"])
-    policy_steps = -(-config.horizon // config.chunk)
-    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=policy_steps, extra=modules)
+    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=config.policy_steps, extra=modules)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from torchrl.envs import Compose, TransformedEnv
 from ppt_rl.modules import PandaKinematics, ProMP, TaskSpace
 from ppt_rl.training import (
     PUSH_AXES,
-    PushConfig,
+    EpisodeLevelConfig,
     fit_push_prior,
     make_push_controller,
     make_push_env,
@@ -37,30 +37,15 @@ VARIANT = "ppt_push"
 
 
 @dataclass(frozen=True)
-class Config(PushConfig):
+class Config(EpisodeLevelConfig):
     """Train PPT (ProMP + PPO + energy tank) on box pushing.
 
     Attributes:
-        num_basis: basis functions of the ProMP for each of x, y and yaw.
-        replan_steps: control steps between policy steps; 0 is one policy step per episode.
-        residual_position: how far a residual of 1 moves a weight in x and y [m].
-        residual_yaw: how far a residual of 1 moves a weight in yaw [rad].
         e_max: capacity of the tank [J].
-        initial_scale: standard deviation of the untrained policy, in residuals [-].
     """
 
     run_dir: Path = Path("runs/ppt_push")
-    num_basis: int = 8
-    replan_steps: int = 0
-    residual_position: float = 0.03
-    residual_yaw: float = 0.3
     e_max: float = 3.0
-    initial_scale: float = 0.25
-
-    @property
-    def chunk(self) -> int:
-        """Control steps of a policy step."""
-        return self.replan_steps or self.horizon
 
 
 def make_modules(config: Config) -> dict[str, ProMP]:
@@ -73,7 +58,6 @@ def make_env(
 ) -> TransformedEnv:
     """The pushing environment with PPT's chain: what stands above the macro step runs at control rate."""
     base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
-    residual = (config.residual_position, config.residual_position, config.residual_yaw)
     return TransformedEnv(
         base,
         Compose(
@@ -83,7 +67,11 @@ def make_env(
             EpisodeMetricsTransform(push_metrics(config)),
             MacroStepTransform(config.chunk, discount=config.ppo.gamma),
             ProMPTransform(
-                promp, TaskSpace(PUSH_AXES, base.start_pose), residual_scale=residual, replan_steps=config.chunk, dt=dt
+                promp,
+                TaskSpace(PUSH_AXES, base.start_pose),
+                residual_scale=config.residual_scale,
+                replan_steps=config.chunk,
+                dt=dt,
             ),
             ViaPointTransform(promp),
         ),
@@ -101,8 +89,7 @@ def main(config: Config) -> Path:
     modules = make_modules(config)
     fit_push_prior(modules["promp"])  # from scripted demonstrations
     env = make_env(config, modules["promp"])
-    policy_steps = -(-config.horizon // config.chunk)
-    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=policy_steps, extra=modules)
+    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=config.policy_steps, extra=modules)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from torchrl.envs import Compose, StepCounter, TransformedEnv, UnaryTransform
 from ppt_rl.modules import PandaKinematics, TaskSpace
 from ppt_rl.training import (
     PUSH_AXES,
-    PushConfig,
+    StepWiseConfig,
     make_push_controller,
     make_push_env,
     make_push_policy,
@@ -34,27 +34,15 @@ VARIANT = "st_push"
 
 
 @dataclass(frozen=True)
-class Config(PushConfig):
+class Config(StepWiseConfig):
     """Train ST (step-wise PPO + energy tank) on box pushing.
 
     Attributes:
-        max_velocity: velocity of an action of 1 in x and y [m/s].
-        max_yaw_rate: yaw rate of an action of 1 [rad/s].
-        max_lead: farthest the reference may be ahead of the tool in x and y [m].
-        max_yaw_lead: farthest it may be ahead in yaw [rad].
         e_max: capacity of the tank [J].
-        initial_scale: standard deviation of the untrained policy, in actions [-].
-        rollout_steps: control steps of every environment between two updates.
     """
 
     run_dir: Path = Path("runs/st_push")
-    max_velocity: float = 0.4
-    max_yaw_rate: float = 1.5
-    max_lead: float = 0.05
-    max_yaw_lead: float = 0.3
     e_max: float = 3.0
-    initial_scale: float = 0.25
-    rollout_steps: int = 60
 
 
 def make_modules(config: Config) -> dict[str, nn.Module]:
@@ -67,8 +55,6 @@ def make_env(
 ) -> TransformedEnv:
     """The pushing environment with ST's chain: everything runs at control rate."""
     base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
-    velocity = (config.max_velocity, config.max_velocity, config.max_yaw_rate)
-    lead = (config.max_lead, config.max_lead, config.max_yaw_lead)
     return TransformedEnv(
         base,
         Compose(
@@ -77,7 +63,7 @@ def make_env(
             ImpedanceTransform(make_push_controller(config)),
             EpisodeMetricsTransform(push_metrics(config)),
             CartesianVelocityTransform(
-                TaskSpace(PUSH_AXES, base.start_pose), max_velocity=velocity, max_lead=lead, dt=dt
+                TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead, dt=dt
             ),
             StepCounter(),
             UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),

@@ -16,7 +16,9 @@ from ppt_rl.training.evaluation import (
 from ppt_rl.training.ppo import PPOConfig, train_ppo
 from ppt_rl.training.pretrained import is_pretrained, load_pretrained, pretrained_card, save_pretrained
 from ppt_rl.training.push import (
+    EpisodeLevelConfig,
     PushConfig,
+    StepWiseConfig,
     make_push_controller,
     make_push_env,
     make_push_policy,
@@ -30,8 +32,10 @@ __all__ = [
     "PUSH_AXES",
     "REPORTED",
     "CheckpointMismatch",
+    "EpisodeLevelConfig",
     "PPOConfig",
     "PushConfig",
+    "StepWiseConfig",
     "ZeroPolicy",
     "as_json",
     "checkpoint_info",

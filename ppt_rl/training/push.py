@@ -16,7 +16,16 @@ from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.training.ppo import PPOConfig
 from ppt_rl.training.recipe import make_actor_critic
 
-__all__ = ["PushConfig", "make_push_controller", "make_push_env", "make_push_policy", "push_metrics", "seed_everything"]
+__all__ = [
+    "EpisodeLevelConfig",
+    "PushConfig",
+    "StepWiseConfig",
+    "make_push_controller",
+    "make_push_env",
+    "make_push_policy",
+    "push_metrics",
+    "seed_everything",
+]
 
 #: What a policy may know, in training and at test time; the critic, needed in training only, sees the box as well.
 _KNOWN = ("box_start", "goal", "box_size", "pose", "twist", "wrench", "phase")
@@ -63,6 +72,71 @@ class PushConfig:
     def horizon(self) -> int:
         """Control steps of an episode."""
         return max(1, round(self.duration / self.control_dt))
+
+
+@dataclass(frozen=True)
+class EpisodeLevelConfig(PushConfig):
+    """Options of the recipes whose policy acts on ProMP weights.
+
+    Attributes:
+        num_basis: basis functions of the ProMP for each of x, y and yaw.
+        replan_steps: control steps between policy steps; 0 is one policy step per episode.
+        residual_position: how far a residual of 1 moves a weight in x and y [m].
+        residual_yaw: how far a residual of 1 moves a weight in yaw [rad].
+        initial_scale: standard deviation of the untrained policy, in residuals [-].
+    """
+
+    num_basis: int = 8
+    replan_steps: int = 0
+    residual_position: float = 0.03
+    residual_yaw: float = 0.3
+    initial_scale: float = 0.25
+
+    @property
+    def chunk(self) -> int:
+        """Control steps of a policy step."""
+        return self.replan_steps or self.horizon
+
+    @property
+    def policy_steps(self) -> int:
+        """Policy steps of an episode, which are those of a batch."""
+        return -(-self.horizon // self.chunk)
+
+    @property
+    def residual_scale(self) -> tuple[float, float, float]:
+        """How far a residual of 1 moves a weight in x, y [m] and yaw [rad]."""
+        return self.residual_position, self.residual_position, self.residual_yaw
+
+
+@dataclass(frozen=True)
+class StepWiseConfig(PushConfig):
+    """Options of the recipes whose policy acts on Cartesian velocity.
+
+    Attributes:
+        max_velocity: velocity of an action of 1 in x and y [m/s].
+        max_yaw_rate: yaw rate of an action of 1 [rad/s].
+        max_lead: farthest the reference may be ahead of the tool in x and y [m].
+        max_yaw_lead: farthest it may be ahead in yaw [rad].
+        initial_scale: standard deviation of the untrained policy, in actions [-].
+        rollout_steps: control steps of every environment between two updates.
+    """
+
+    max_velocity: float = 0.4
+    max_yaw_rate: float = 1.5
+    max_lead: float = 0.05
+    max_yaw_lead: float = 0.3
+    initial_scale: float = 0.25
+    rollout_steps: int = 60
+
+    @property
+    def velocity(self) -> tuple[float, float, float]:
+        """Velocity of an action of 1 in x, y [m/s] and yaw [rad/s]."""
+        return self.max_velocity, self.max_velocity, self.max_yaw_rate
+
+    @property
+    def lead(self) -> tuple[float, float, float]:
+        """Farthest the reference may be ahead in x, y [m] and yaw [rad]."""
+        return self.max_lead, self.max_lead, self.max_yaw_lead
 
 
 def make_push_env(
