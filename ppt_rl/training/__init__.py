@@ -13,7 +13,8 @@ from ppt_rl.training.evaluation import (
     run_episodes,
     summarise,
 )
-from ppt_rl.training.ppo import PPOConfig, train_ppo
+from ppt_rl.training.loop import train_ppo
+from ppt_rl.training.ppo import PPOConfig
 from ppt_rl.training.pretrained import is_pretrained, load_pretrained, pretrained_card, save_pretrained
 from ppt_rl.training.push import (
     EpisodeLevelConfig,

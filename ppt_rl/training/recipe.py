@@ -15,7 +15,8 @@ from torchrl.envs import EnvBase
 from ppt_rl.modules.actor_critic import make_actor, make_critic, update_input_norm
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info, find_checkpoint
 from ppt_rl.training.logs import save_config
-from ppt_rl.training.ppo import PPOConfig, train_ppo
+from ppt_rl.training.loop import train_ppo
+from ppt_rl.training.ppo import PPOConfig
 
 __all__ = ["as_json", "make_actor_critic", "run_recipe"]
 

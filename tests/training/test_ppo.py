@@ -6,7 +6,8 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from ppt_rl.modules import make_actor, make_critic
-from ppt_rl.training.ppo import PPOConfig, _Learner, batch_statistics, control_steps
+from ppt_rl.training.loop import batch_statistics, control_steps
+from ppt_rl.training.ppo import Learner, PPOConfig
 
 
 def batch(actor, count=256):
@@ -25,7 +26,7 @@ def batch(actor, count=256):
 
 def learner(**settings):
     actor = make_actor(["observation"], 2, 2, initial_scale=0.5)
-    return _Learner(actor, make_critic(["observation"], 2), PPOConfig(**settings))
+    return Learner(actor, make_critic(["observation"], 2), PPOConfig(**settings))
 
 
 def test_ppo_improves_the_reward_of_a_contextual_bandit():
