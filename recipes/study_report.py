@@ -219,7 +219,8 @@ def draw_scene(results: Path, groups: dict[str, list[Run]], count: int = 6) -> N
         times = [config.control_dt * (step + 1) for step in chosen]
         positions = np.concatenate([trace["joint_position"], trace["box_pose"]], -1)[chosen]
         try:
-            strips[name] = list(pictures(env.base_env, RECORDED, positions, camera="overview", size=(480, 360)))
+            strips[name] = list(pictures(env.base_env, RECORDED, positions, camera="overview", size=(1280, 960)))
+            strips[name] = [picture[320:880:2, 480:1200:2] for picture in strips[name]]  # the table around the box
         except RuntimeError as error:
             print(f"no film strip: {error}")
             return

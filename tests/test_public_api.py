@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 import pkgutil
@@ -40,6 +41,8 @@ def test_every_public_object_documents_every_argument(name, value):
         parameters = inspect.signature(value).parameters
     except ValueError:
         return
+    if dataclasses.is_dataclass(value):  # a field is documented where it is declared
+        doc = "\n".join(inspect.getdoc(base) or "" for base in value.__mro__ if dataclasses.is_dataclass(base))
     missing = [p for p in parameters if p not in ("args", "kwargs", "self") and not re.search(rf"\b{p}\b", doc)]
     assert not missing, f"{name} does not document {missing}"
 

@@ -73,7 +73,13 @@ def _threads(count: int) -> Iterator[None]:
 
 
 class Learner:
-    """Losses, optimizer and learning-rate schedule of one run."""
+    """Losses, optimizer and learning-rate schedule of one run.
+
+    Args:
+        actor: policy; its distribution is Gaussian with ``loc`` and ``scale`` in the batch.
+        critic: value network.
+        config: settings.
+    """
 
     def __init__(self, actor: ProbabilisticActor, critic: nn.Module, config: PPOConfig) -> None:
         self.actor, self.critic, self.config = actor, critic, config
@@ -88,7 +94,14 @@ class Learner:
         self.schedule = KLAdaptiveLR(self.optimizer, config.target_kl, max_lr=config.max_learning_rate)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Improve actor and critic on one batch: fewer passes than allowed where the policy has moved far enough."""
+        """Improve actor and critic on one batch: fewer passes than allowed where the policy has moved far enough.
+
+        Args:
+            batch: what the collector returned.
+
+        Returns:
+            Mean losses, the divergence from the policy that acted [nat] and the learning rate.
+        """
         with _threads(len(os.sched_getaffinity(0)) if batch.numel() > _LARGE else torch.get_num_threads()):
             return self._improve(self._with_advantage(batch))
 

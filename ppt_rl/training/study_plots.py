@@ -58,10 +58,10 @@ def plot_curves(
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
     left.set_ylim(0, 102)
-    left.legend(loc="center right")
     right.set_yscale("log")
     right.axhline(p_max, color="black", ls="--", lw=1.2, label="limit of the tank")
-    right.legend(loc="center right")
+    handles, names = right.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=len(names))
     figure.suptitle(f"Training, exploring policy: mean of {window} batches, band of one standard error over seeds")
     save_figure(figure, path)
 
@@ -88,7 +88,11 @@ def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, st
         for patch, variant in zip(drawn["boxes"], rows, strict=True):
             patch.set(facecolor=VARIANT_COLORS.get(variant, _GREY), alpha=0.7)
         axes.set_ylabel(label)
-        axes.set_ylim(bottom=0)
+        medians = [np.median(values[name]) for values in rows.values()]
+        if min(medians) > 0 and max(medians) > 20 * min(medians):
+            axes.set_yscale("log")
+        else:
+            axes.set_ylim(bottom=0)
         axes.grid(axis="y", alpha=0.3)
     save_figure(figure, path)
 
@@ -119,7 +123,8 @@ def plot_promp(
         axes.set_xlabel("phase [-]")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
-    axes.legend(loc="best", fontsize="small")
+    handles, names = axes.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=len(names))
     save_figure(figure, path)
 
 
@@ -156,6 +161,8 @@ def plot_tanks(
         for axes, (key, label, limit, name) in zip(grid[:, column], lines, strict=True):
             axes.plot(time, episode[key][:, 0], color=VARIANT_COLORS["PPT"], lw=1.5)
             axes.axhline(limit, color="black", ls="--", lw=1.0, label=name)
+            if key == "power":
+                axes.axhline(-limit, color="black", ls="--", lw=1.0)
             axes.grid(alpha=0.3)
             if column == 0:
                 axes.set_ylabel(label)

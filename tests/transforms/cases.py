@@ -95,6 +95,7 @@ CASES: dict[str, Case] = {
             for name in (
                 "max_power",
                 "max_power_measured",
+                "work",
                 "jerk_rms",
                 "wrench_p95",
                 "overload_ratio",
