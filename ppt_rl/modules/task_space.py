@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -86,6 +87,24 @@ class TaskSpace(nn.Module):
         zero = torch.zeros_like(velocity[..., 0])
         names = (*_LINEAR, "roll", "pitch", "yaw")
         return torch.stack([velocity[..., self.axes.index(name)] if name in self.axes else zero for name in names], -1)
+
+    def difference(self, position: Tensor, other: Tensor) -> Tensor:
+        """``position - other``, the short way round in yaw.
+
+        Args:
+            position: ``(*B, D)`` [m, rad].
+            other: ``(*B, D)`` [m, rad].
+
+        Returns:
+            ``(*B, D)``, yaw within ``+-pi`` [m, rad].
+        """
+        difference = position - other
+        if "yaw" in self.axes:
+            turns = (difference[..., self.axes.index("yaw")] / (2 * math.pi)).round()
+            full = torch.zeros_like(difference)
+            full[..., self.axes.index("yaw")] = 2 * math.pi * turns
+            difference = difference - full
+        return difference
 
     def project(self, pose: Tensor) -> Tensor:
         """Coordinates of a pose: the inverse of :meth:`pose` on the poses it makes.

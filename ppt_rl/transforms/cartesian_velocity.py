@@ -24,9 +24,10 @@ class CartesianVelocityTransform(ActionTransform):
         y' = y_m + \mathrm{clip}\big(y + v_{max}\,\mathrm{clip}(a, -1, 1)\,\Delta t - y_m,\ -l,\ l\big),
         \qquad v = (y' - y) / \Delta t
 
-    per coordinate, with ``y_m`` the measured coordinates of the end effector and ``l`` the lead: the reference cannot
-    run away from a blocked tool, and the spring's force stays below stiffness times lead. The reference's twist is that
-    of the bounded motion, itself within ``v_max``. State and observation: ``reference_position`` ``(*B, D)``.
+    per coordinate (yaw differs by the short way round), with ``y_m`` the measured coordinates of the end effector
+    and ``l`` the lead: the reference cannot run away from a blocked tool, and the spring's force stays below stiffness
+    times lead. The reference's twist is that of the bounded motion, itself within ``v_max``. State and observation:
+    ``reference_position`` ``(*B, D)``.
 
     Append it after an :class:`ImpedanceTransform`, in the place where an episode-level policy has its macro step.
 
@@ -77,9 +78,9 @@ class CartesianVelocityTransform(ActionTransform):
             position = measured
         lead, speed = self.max_lead.to(action.dtype), self.max_velocity.to(action.dtype)
         wanted = position + self.dt * speed * action.clamp(-1.0, 1.0)
-        following = measured + (wanted - measured).clamp(-lead, lead)
+        following = measured + self.task_space.difference(wanted, measured).clamp(-lead, lead)
         # Pulled along by a moving tool, the reference may have to go faster than it is let to say.
-        velocity = ((following - position) / self.dt).clamp(-speed, speed)
+        velocity = (self.task_space.difference(following, position) / self.dt).clamp(-speed, speed)
         reference = torch.cat([self.task_space.pose(following), self.task_space.twist(velocity)], -1)
         tensordict.set(self.action_key, reference)
         self._stash(tensordict, "reference_position", following)

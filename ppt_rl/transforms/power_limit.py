@@ -21,8 +21,11 @@ class PowerLimitTransform(Transform):
 
     It writes the cost ``c`` ``(*B, 1)`` [J] under ``("next", "cost")``, where constrained-RL losses look for it. With
     ``terminate`` an episode ends (``terminated``) at the first step above the limit. Unlike the
-    :class:`EnergyTankTransform` it does not act on the action: it makes the constraint a part of the task. Append it
-    before a :class:`MacroStepTransform`, which sums the cost over its control steps as it sums rewards.
+    :class:`EnergyTankTransform` it does not act on the action: it makes the constraint a part of the task.
+
+    Append it before a :class:`MacroStepTransform`, which sums ``cost`` (under that key) over its control steps
+    as it does rewards; and, where it terminates, before an :class:`EpisodeMetricsTransform`, which has to see where episodes end.
+    The penalty changes the reward only, not what stands under ``reward_terms``.
 
     Args:
         p_max: limit of the measured power [W].
@@ -71,7 +74,7 @@ class PowerLimitTransform(Transform):
         cost = self._cost(next_tensordict)
         step = tensordict.get("_step", None)
         if step is not None:
-            cost = cost * step.reshape(tensordict.batch_size).unsqueeze(-1)
+            cost = torch.where(step.reshape(tensordict.batch_size).unsqueeze(-1), cost, torch.zeros_like(cost))
         next_tensordict.set(self.out_keys[0], cost)
         if self.penalty:
             next_tensordict.set(self.reward_key, next_tensordict.get(self.reward_key) - self.penalty * cost)

@@ -83,3 +83,19 @@ def test_an_origin_that_is_no_pose_is_refused():
 def test_coordinates_of_a_wrong_count_are_refused():
     with pytest.raises(ValueError, match="task-space position has shape"):
         TaskSpace(("x", "y"), TOOL_DOWN).pose(torch.zeros(3))
+
+
+def test_a_difference_goes_the_short_way_round_in_yaw_only():
+    space = TaskSpace(("x", "yaw"), (0.4, 0.0, 0.1, 0.0, 1.0, 0.0, 0.0))
+    position = torch.tensor([[5.0, 3.1], [0.0, -3.1], [0.0, 0.3], [1.0, 9.0]], dtype=torch.float64)
+    other = torch.tensor([[1.0, -3.1], [7.0, 3.1], [0.0, 0.1], [1.0, 0.0]], dtype=torch.float64)
+    expected = torch.tensor(
+        [[4.0, 6.2 - 2 * math.pi], [-7.0, 2 * math.pi - 6.2], [0.0, 0.2], [0.0, 9.0 - 2 * math.pi]], dtype=torch.float64
+    )
+    torch.testing.assert_close(space.difference(position, other), expected)
+
+
+def test_a_difference_without_yaw_is_plain():
+    space = TaskSpace(("x", "y"), (0.4, 0.0, 0.1, 0.0, 1.0, 0.0, 0.0))
+    position, other = torch.tensor([[9.0, -9.0]]), torch.tensor([[-9.0, 9.0]])
+    assert torch.equal(space.difference(position, other), position - other)

@@ -4,6 +4,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tensordict import TensorDict
 from torch.testing import assert_close
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
@@ -275,3 +276,15 @@ def test_a_constant_velocity_moves_the_simulated_tool_by_velocity_times_time():
 
 def test_specs_hold_on_the_simulated_arm():
     check_env_specs(push_velocity_env())
+
+
+def test_where_yaw_wraps_round_the_reference_stays_where_it_is():
+    space = TaskSpace(("yaw",), ORIGIN)
+    transform = CartesianVelocityTransform(space, max_velocity=1.5, max_lead=0.3)
+    held, beyond = torch.tensor([[torch.pi - 0.01]]), torch.tensor([[torch.pi + 0.01]])
+    tensordict = TensorDict(
+        {"action": torch.zeros(1, 1), "pose": space.pose(beyond), "reference_position": held}, batch_size=[1]
+    )
+    reference = transform.inv(tensordict)["action"]
+    assert_close(reference[..., 7:], torch.zeros(1, 6), rtol=0.0, atol=1e-4)
+    assert_close((reference[..., 3:7] * space.pose(held)[..., 3:]).sum(-1).abs(), torch.ones(1))
