@@ -23,9 +23,9 @@ class PowerLimitTransform(Transform):
     ``terminate`` an episode ends (``terminated``) at the first step above the limit. Unlike the
     :class:`EnergyTankTransform` it does not act on the action: it makes the constraint a part of the task.
 
-    Append it before a :class:`MacroStepTransform`, which sums ``cost`` (under that key) over its control steps
-    as it does rewards; and, where it terminates, before an :class:`EpisodeMetricsTransform`, which has to see where episodes end.
-    The penalty changes the reward only, not what stands under ``reward_terms``.
+    Append it before a :class:`MacroStepTransform`, which sums ``cost`` (under that key) over its control steps like
+    rewards. Where it terminates, append it before an :class:`EpisodeMetricsTransform` too, which has to see where
+    episodes end. The penalty changes the reward only, not what stands under ``reward_terms``.
 
     Args:
         p_max: limit of the measured power [W].

@@ -229,9 +229,10 @@ def test_the_evaluated_environment_hides_what_is_privileged(policies, variant):
     assert "box_pose" in policy.make_env(num_envs=2, seed=0, privileged=True).observation_spec.keys()
 
 
-def test_options_of_the_environment_can_be_changed_for_an_evaluation(policies):
-    env = policies["s_push"].make_env(num_envs=3, seed=0, box_sizes=(0.08,), num_threads=1)
-    assert (env.reset()["box_size"] == 0.08).all()
+@pytest.mark.parametrize("size", [0.06, 0.08])
+def test_options_of_the_environment_can_be_changed_for_an_evaluation(policies, size):
+    env = policies["s_push"].make_env(num_envs=3, seed=0, box_sizes=(size,), num_threads=1)
+    assert (env.reset()["box_size"] == size).all()
 
 
 # -- the command line of the evaluation --------------------------------------------------------------------------------
