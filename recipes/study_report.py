@@ -67,6 +67,8 @@ def metrics_table(groups: dict[str, list[Run]]) -> tuple[str, dict[str, Any]]:
             cells = []
             for name in groups:
                 summary = over_seeds(means[name][box])
+                if unit == "0-1" and summary["ci95"] is not None:
+                    summary["ci95"] = np.clip(summary["ci95"], 0.0, 1.0).tolist()
                 numbers.setdefault(name, {}).setdefault(metric, {})[box] = summary
                 cells.append(_cell(summary))
             lines.append(f"| {metric} [{unit}] | {box} | " + " | ".join(cells) + " |")
