@@ -8,7 +8,7 @@ RUN := runs/ppt_push
 
 # Evaluate the published PPT policy: table, figure and video in runs/demo.
 demo: $(VENV)/.installed
-	$(PY) recipes/evaluate.py pretrained/ppt_push --episodes 128 --report runs/demo
+	$(PY) recipes/evaluate.py pretrained/ppt_push --episodes 128 --film 2 --report runs/demo
 
 # Train PPT on box pushing (or go on with a run that was cut off), then evaluate: table, figures, video, checkpoint.
 push: $(VENV)/.installed

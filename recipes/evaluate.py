@@ -52,6 +52,7 @@ class Config:
         baseline: add rows for the reference alone, the policy's residual set to zero.
         json: end with one line of JSON: the metrics of the first row.
         video: write a video here (.mp4).
+        film: episodes in the video.
         plots: write training curves and one episode into this directory.
         report: write table, episodes, plots and video into this directory.
     """
@@ -68,8 +69,14 @@ class Config:
     baseline: bool = False
     json: bool = False
     video: Path | None = None
+    film: int = 4
     plots: Path | None = None
     report: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings."""
+        if self.film < 1:
+            raise ValueError(f"film is {self.film}; expected at least 1 episode.")
 
 
 def table(rows: dict[str, dict[str, Any]]) -> str:
@@ -167,7 +174,9 @@ def draw(run: Config, policy: Policy, boxes: tuple[float, ...]) -> None:
     if plots is None and video is None:
         return
     config = policy.config
-    env = policy.make_env(num_envs=4, seed=run.seed, privileged=True, box_sizes=boxes, num_threads=run.num_threads)
+    env = policy.make_env(
+        num_envs=run.film, seed=run.seed, privileged=True, box_sizes=boxes, num_threads=run.num_threads
+    )
     tank = ("tank_energy", "valve") if "tank_energy" in env.observation_spec.keys() else ()
     recorded = record_episodes(env, policy.actor, (*_TRACE, *tank))
     if plots is not None:
@@ -182,7 +191,7 @@ def draw(run: Config, policy: Policy, boxes: tuple[float, ...]) -> None:
     if video is not None:
         every = 4
         try:
-            frames = push_frames(env.base_env, recorded, range(4), every=every)
+            frames = push_frames(env.base_env, recorded, range(run.film), every=every)
             write_video(video, frames, fps=1.0 / (every * config.control_dt))
             print(f"video in {video}")
         except RuntimeError as error:

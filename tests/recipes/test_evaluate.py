@@ -117,6 +117,11 @@ def test_a_missing_checkpoint_is_named(tmp_path):
         evaluate.main(evaluate.Config(tmp_path / "nothing.torchrl"))
 
 
+def test_a_film_of_no_episodes_is_an_error(trained):
+    with pytest.raises(ValueError, match="film is 0"):
+        evaluate.Config(trained, film=0)
+
+
 def test_no_episodes_is_an_error(trained):
     with pytest.raises(ValueError, match="expected at least 1"):
         evaluate.main(evaluate.Config(trained, episodes=0))
