@@ -19,9 +19,9 @@ from ppt_rl.training import (
     make_push_controller,
     make_push_env,
     make_push_policy,
+    prepare_torch,
     push_metrics,
     run_recipe,
-    seed_everything,
 )
 from ppt_rl.transforms import (
     EpisodeMetricsTransform,
@@ -78,7 +78,7 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
 
 def main(config: Config) -> Path:
     """Train."""
-    seed_everything(config)
+    prepare_torch(config)
     modules = make_modules(config)
     fit_push_prior(modules["promp"])  # from scripted demonstrations
     env = make_env(config, modules["promp"])

@@ -18,9 +18,9 @@ from ppt_rl.training import (
     make_push_controller,
     make_push_env,
     make_push_policy,
+    prepare_torch,
     push_metrics,
     run_recipe,
-    seed_everything,
 )
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
@@ -80,7 +80,7 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
 
 def main(config: Config) -> Path:
     """Train."""
-    seed_everything(config)
+    prepare_torch(config)
     env = make_env(config)
     return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=config.rollout_steps)
 

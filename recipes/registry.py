@@ -12,6 +12,7 @@ from torch import nn
 from torchrl.envs import ExcludeTransform, TransformedEnv
 
 from ppt_rl.training import (
+    PRIVILEGED,
     CheckpointMismatch,
     PPOConfig,
     checkpoint_info,
@@ -24,8 +25,6 @@ from ppt_rl.training import (
 
 #: Variants and the recipes that build their chains, in the order of the paper's table.
 RECIPES = {"pp_push": "ppo_pp_push", "ppt_push": "ppo_ppt_push", "s_push": "ppo_s_push", "st_push": "ppo_st_push"}
-#: Observations that exist in simulation only; no evaluated policy sees them.
-PRIVILEGED = ("box_pose",)
 
 
 class Policy(NamedTuple):

@@ -21,7 +21,7 @@ from ppt_rl.training.logs import read_scalar, versions, write_bytes_atomically, 
 
 _CURVES = (
     "success", "progress", "max_power", "max_power_measured", "jerk_rms", "wrench_p95", "overload_ratio", "work",
-    "reward", "kl",
+    "reward", "kl", "seconds",
 )  # fmt: skip
 _TRACE = ("joint_position", "pose", "box_pose", "power", "twist", "wrench")
 #: Which of the evaluated episodes is recorded.
@@ -97,13 +97,16 @@ def save_run(run: Run, policy: Policy, *, episodes: int, seed: int, num_threads:
     }  # fmt: skip
     write_bytes_atomically(run.results / "episodes.csv.gz", gzip.compress(as_csv(rows).encode(), mtime=0))
     write_bytes_atomically(run.results / "episode.npz", _recorded(policy, seed))
-    steps, _ = read_scalar(run.run_dir, "success")
-    curves = {name: read_scalar(run.run_dir, name) for name in _CURVES}
-    table = {name: dict(zip(*values, strict=True)) for name, values in curves.items()}
-    lines = [{"control_steps": step, **{name: values[step] for name, values in table.items()}} for step in steps]
-    write_text_atomically(run.results / "curves.csv", as_csv(lines))
+    write_text_atomically(run.results / "curves.csv", _curves(run))
     shutil.copyfile(run.run_dir / "config.json", run.results / "config.json")
     write_text_atomically(run.results / "evaluation.json", json.dumps(record, indent=2) + "\n")
+
+
+def _curves(run: Run) -> str:
+    """Logged scalars as CSV, a row for each batch in which episodes ended."""
+    steps, _ = read_scalar(run.run_dir, "success")
+    table = {name: dict(zip(*read_scalar(run.run_dir, name), strict=True)) for name in _CURVES}
+    return as_csv([{"control_steps": step, **{name: values[step] for name, values in table.items()}} for step in steps])
 
 
 def _recorded(policy: Policy, seed: int) -> bytes:

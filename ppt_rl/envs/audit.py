@@ -12,6 +12,7 @@ from torch import Tensor
 from ppt_rl.envs.physics import PhysicsEngine, PhysicsStep
 from ppt_rl.envs.physics.base import Array
 from ppt_rl.envs.readings import ArmReadings
+from ppt_rl.functional.impedance import power
 
 __all__ = ["AUDITED", "AuditedPhysics"]
 
@@ -54,18 +55,16 @@ class AuditedPhysics:
     def step(self, control: Array, rows: NDArray[np.int64] | None = None) -> PhysicsStep:
         """See :meth:`PhysicsEngine.step`; a row that diverged books nothing."""
         result = self._engine.step(control, rows)
-        commanded, measured = (power.abs().numpy() for power in self._powers(result.sensors, control))  # (R, K)
+        commanded, measured = (values.abs().numpy() for values in self._powers(result.sensors, control))  # (R, K)
         books = np.stack(
             [commanded.sum(-1) * self._dt, commanded.max(-1), measured.sum(-1) * self._dt, measured.max(-1)], -1
         )
         books[result.diverged] = 0.0
         index = slice(None) if rows is None else rows
-        old = self.totals[index]
-        works, peaks = [0, 2], [1, 3]
-        new = old.copy()
-        new[:, works] += books[:, works]
-        new[:, peaks] = np.maximum(old[:, peaks], books[:, peaks])
-        self.totals[index] = new
+        totals = self.totals[index]
+        totals[:, ::2] += books[:, ::2]  # works add up
+        totals[:, 1::2] = np.maximum(totals[:, 1::2], books[:, 1::2])  # powers leave their largest
+        self.totals[index] = totals
         return result
 
     def _powers(self, sensors: Array, control: Array) -> tuple[Tensor, Tensor]:
@@ -74,8 +73,8 @@ class AuditedPhysics:
         flat = torch.from_numpy(sensors).reshape(count * substeps, -1)
         read = self._readings.observe(flat)
         torque = torch.from_numpy(np.asarray(control)).repeat_interleave(substeps, 0)
-        commanded = (torque * read["joint_velocity"]).sum(-1)
-        measured = (read["wrench"] * read["twist"]).sum(-1)
+        commanded = power(torque, read["joint_velocity"])
+        measured = power(read["wrench"], read["twist"])
         return commanded.reshape(count, substeps), measured.reshape(count, substeps)
 
     def observe(self, dtype: torch.dtype) -> dict[str, Tensor]:

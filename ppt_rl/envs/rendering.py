@@ -39,19 +39,15 @@ class SceneRenderer:
     def __init__(self, scene: Any) -> None:
         self.physics = mjcf.Physics.from_mjcf_model(scene)
 
-    def at(self, state: NDArray[np.float64]) -> Any:
-        """The physics in a state.
+    def show(self, state: NDArray[np.float64]) -> None:
+        """Put the physics into a state.
 
         Args:
             state: full physics state (``mjSTATE_FULLPHYSICS``).
-
-        Returns:
-            The physics.
         """
         model, data = self.physics.model.ptr, self.physics.data.ptr
         mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         mujoco.mj_forward(model, data)
-        return self.physics
 
     def picture(self, camera: str, width: int, height: int) -> NDArray[np.uint8]:
         """Picture of the present state.
@@ -95,9 +91,7 @@ class RenderedScenes:
         Raises:
             IndexError: if there is no such environment.
         """
-        if not 0 <= index < self.num_envs:
-            raise IndexError(f"environment {index} of {self.num_envs}; expected 0 to {self.num_envs - 1}.")
-        return self._renderer(index).at(self.engine.state(index))
+        return self._showing(index).physics
 
     def render(
         self, index: int = 0, *, camera: str = "overview", width: int = 640, height: int = 480
@@ -118,14 +112,16 @@ class RenderedScenes:
             RuntimeError: if no OpenGL library is found.
         """
         require_rendering()
-        self.physics(index)
-        return self._renderer(index).picture(camera, width, height)
+        return self._showing(index).picture(camera, width, height)
 
-    def _renderer(self, index: int) -> SceneRenderer:
-        """The scene with its looks, with the parameters of environment ``index``."""
+    def _showing(self, index: int) -> SceneRenderer:
+        """The scene with its looks, with the parameters and in the state of environment ``index``."""
+        if not 0 <= index < self.num_envs:
+            raise IndexError(f"environment {index} of {self.num_envs}; expected 0 to {self.num_envs - 1}.")
         if self._rendered is None:
             self._rendered = SceneRenderer(self._scene())
         self._write_parameters(self._rendered.physics.model.ptr, index)
+        self._rendered.show(self.engine.state(index))
         return self._rendered
 
     def _free_renderer(self) -> None:

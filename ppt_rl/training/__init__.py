@@ -8,7 +8,6 @@ from ppt_rl.training.evaluation import (
     REPORTED,
     ZeroPolicy,
     distribution,
-    evaluate,
     record_episodes,
     run_episodes,
     summarise,
@@ -17,19 +16,21 @@ from ppt_rl.training.loop import train_ppo
 from ppt_rl.training.ppo import PPOConfig
 from ppt_rl.training.pretrained import is_pretrained, load_pretrained, pretrained_card, save_pretrained
 from ppt_rl.training.push import (
+    PRIVILEGED,
     EpisodeLevelConfig,
     PushConfig,
     StepWiseConfig,
     make_push_controller,
     make_push_env,
     make_push_policy,
+    prepare_torch,
     push_metrics,
-    seed_everything,
 )
 from ppt_rl.training.recipe import as_json, make_actor_critic, run_recipe
 
 __all__ = [
     "POWER_AND_WORK",
+    "PRIVILEGED",
     "PUSH_AXES",
     "REPORTED",
     "CheckpointMismatch",
@@ -41,7 +42,6 @@ __all__ = [
     "as_json",
     "checkpoint_info",
     "distribution",
-    "evaluate",
     "find_checkpoint",
     "fit_push_prior",
     "is_pretrained",
@@ -51,6 +51,7 @@ __all__ = [
     "make_push_controller",
     "make_push_env",
     "make_push_policy",
+    "prepare_torch",
     "pretrained_card",
     "push_metrics",
     "record_episodes",
@@ -58,7 +59,6 @@ __all__ = [
     "run_episodes",
     "run_recipe",
     "save_pretrained",
-    "seed_everything",
     "summarise",
     "train_ppo",
 ]

@@ -21,7 +21,6 @@ __all__ = [
     "REPORTED",
     "ZeroPolicy",
     "distribution",
-    "evaluate",
     "interval",
     "record_episodes",
     "run_episodes",
@@ -165,20 +164,6 @@ def distribution(rows: dict[str, np.ndarray], names: Iterable[str] = POWER_AND_W
         name: {"mean": float(v.mean()), "p95": float(np.quantile(v, 0.95)), "max": float(v.max())}
         for name, v in sizes.items()
     }
-
-
-def evaluate(env: EnvBase, policy: Any, episodes: int) -> dict[str, dict[str, Any]]:
-    """Run and summarise: :func:`run_episodes`, then :func:`summarise`.
-
-    Args:
-        env: environment with metrics in its chain.
-        policy: writes the action.
-        episodes: how many.
-
-    Returns:
-        ``{name: {"mean": x, "ci95": [low, high]}}``.
-    """
-    return summarise(run_episodes(env, policy, episodes))
 
 
 class ZeroPolicy:

@@ -17,19 +17,21 @@ from ppt_rl.training.ppo import PPOConfig
 from ppt_rl.training.recipe import make_actor_critic
 
 __all__ = [
+    "PRIVILEGED",
     "EpisodeLevelConfig",
     "PushConfig",
     "StepWiseConfig",
     "make_push_controller",
     "make_push_env",
     "make_push_policy",
+    "prepare_torch",
     "push_metrics",
-    "seed_everything",
 ]
 
 #: What a policy may know, in training and at test time; the critic, needed in training only, sees the box as well.
 _KNOWN = ("box_start", "goal", "box_size", "pose", "twist", "wrench", "phase")
-_PRIVILEGED = ("box_pose",)
+#: Observations that exist in simulation only; no evaluated policy sees them.
+PRIVILEGED = ("box_pose",)
 
 
 @dataclass(frozen=True)
@@ -204,10 +206,10 @@ def make_push_policy(
         Actor and critic.
     """
     keys = [*_KNOWN, *extra_keys]
-    return make_actor_critic(env, keys, [*keys, *_PRIVILEGED], initial_scale=initial_scale)
+    return make_actor_critic(env, keys, [*keys, *PRIVILEGED], initial_scale=initial_scale)
 
 
-def seed_everything(config: PushConfig) -> None:
+def prepare_torch(config: PushConfig) -> None:
     """Seed torch and set its threads.
 
     Args:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from ppt_rl.training import PushConfig, make_push_controller, make_push_env, push_metrics, seed_everything
+from ppt_rl.training import PushConfig, make_push_controller, make_push_env, prepare_torch, push_metrics
 from tests.envs.scenes import leaves
 
 CONFIG = PushConfig(num_envs=3, num_threads=1, duration=0.2, physics_dt=0.002, control_dt=0.02, seed=5)
@@ -50,7 +50,7 @@ def test_seeding_repeats_the_numbers_and_sets_the_threads():
     try:
         draws = []
         for seed in (1, 1, 2):
-            seed_everything(replace(CONFIG, seed=seed, torch_threads=2))
+            prepare_torch(replace(CONFIG, seed=seed, torch_threads=2))
             draws.append(torch.rand(3).tolist())
             assert torch.get_num_threads() == 2
     finally:
