@@ -15,12 +15,12 @@ from ppt_rl.modules import PandaKinematics, ProMP, TaskSpace
 from ppt_rl.training import (
     PUSH_AXES,
     EpisodeLevelConfig,
+    episode_metrics,
     fit_push_prior,
-    make_push_controller,
+    make_controller,
     make_push_env,
     make_push_policy,
     prepare_torch,
-    push_metrics,
     run_recipe,
 )
 from ppt_rl.transforms import (
@@ -63,8 +63,8 @@ def make_env(
         Compose(
             JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
             EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
-            ImpedanceTransform(make_push_controller(config)),
-            EpisodeMetricsTransform(push_metrics(config)),
+            ImpedanceTransform(make_controller(config)),
+            EpisodeMetricsTransform(episode_metrics(config)),
             MacroStepTransform(config.chunk, discount=config.ppo.gamma),
             ProMPTransform(
                 promp,

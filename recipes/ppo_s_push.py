@@ -15,11 +15,11 @@ from ppt_rl.modules import PandaKinematics, TaskSpace
 from ppt_rl.training import (
     PUSH_AXES,
     StepWiseConfig,
-    make_push_controller,
+    episode_metrics,
+    make_controller,
     make_push_env,
     make_push_policy,
     prepare_torch,
-    push_metrics,
     run_recipe,
 )
 from ppt_rl.transforms import (
@@ -53,8 +53,8 @@ def make_env(
         base,
         Compose(
             JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
-            ImpedanceTransform(make_push_controller(config)),
-            EpisodeMetricsTransform(push_metrics(config)),
+            ImpedanceTransform(make_controller(config)),
+            EpisodeMetricsTransform(episode_metrics(config)),
             CartesianVelocityTransform(
                 TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead, dt=dt
             ),

@@ -141,6 +141,10 @@ class PandaEnv(RenderedScenes, EnvBase):
         """Observations of the task and ``reward`` after a control step; ``ended`` marks the rows at their horizon."""
         return {"reward": torch.zeros(self.num_envs, 1, dtype=self.dtype)}
 
+    def _task_over(self) -> Tensor | None:
+        """``(num_envs, 1)`` True where the task is over before its horizon; None where it never is."""
+        return None
+
     def _write_parameters(self, model: Any, row: int) -> None:
         """Write the episode's parameters of environment ``row`` into a model (physics or rendering)."""
 
@@ -255,8 +259,12 @@ class PandaEnv(RenderedScenes, EnvBase):
         return observation
 
     def _done(self, ended: Tensor) -> dict[str, Tensor]:
-        done = ended | self._diverged
-        terminated = ended & ~self._diverged if self.horizon_terminates else torch.zeros_like(done)
+        over = self._task_over()
+        terminal = ended if self.horizon_terminates else torch.zeros_like(ended)
+        if over is not None:
+            terminal = terminal | over
+        done = ended | terminal | self._diverged
+        terminated = terminal & ~self._diverged
         return {"done": done, "terminated": terminated, "truncated": done & ~terminated}
 
     def _pack(self, observation: dict[str, Any]) -> TensorDict:

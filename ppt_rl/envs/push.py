@@ -209,7 +209,7 @@ class PandaPushEnv(PandaEnv):
         way = episode.goal - episode.box_start
         direction = way / way.norm(dim=-1, keepdim=True)
         yaw = torch.atan2(direction[:, 1:], direction[:, :1])
-        offset = episode.half + 0.5 * self.tool.bar[0]  # box centre to bar centre in touch [m]
+        offset = episode.half + self.tool.half_thickness  # box centre to bar centre in touch [m]
         start = torch.cat([tool[:, :2], torch.zeros_like(yaw)], -1)
         behind = torch.cat([episode.box_start - (offset + 0.02) * direction, _APPROACH_YAW * yaw], -1)
         end = torch.cat([episode.goal - offset * direction, yaw], -1)

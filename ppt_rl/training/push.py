@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
-import torch
 from torch import nn
 from torchrl.envs import TransformedEnv
 
 from ppt_rl.envs.push import PandaPushEnv
-from ppt_rl.functional.metrics import MetricsConfig
-from ppt_rl.modules.impedance import CartesianImpedanceController
-from ppt_rl.training.ppo import PPOConfig
+from ppt_rl.training.config import TaskConfig
 from ppt_rl.training.recipe import make_actor_critic
 
 __all__ = [
@@ -21,11 +18,8 @@ __all__ = [
     "EpisodeLevelConfig",
     "PushConfig",
     "StepWiseConfig",
-    "make_push_controller",
     "make_push_env",
     "make_push_policy",
-    "prepare_torch",
-    "push_metrics",
 ]
 
 #: What a policy may know, in training and at test time; the critic, needed in training only, sees the box as well.
@@ -35,45 +29,15 @@ PRIVILEGED = ("box_pose",)
 
 
 @dataclass(frozen=True)
-class PushConfig:
+class PushConfig(TaskConfig):
     """Options of every pushing recipe.
 
     Attributes:
-        run_dir: where logs, checkpoints and figures go.
-        seed: of everything random.
-        resume: go on from the newest checkpoint in run_dir.
-        num_envs: environments that step together.
-        num_threads: physics threads; 0 takes one per CPU.
-        torch_threads: threads of torch while it simulates; its tensors are small there, more than one gains nothing.
-        duration: episode length [s].
-        physics_dt: time step of the physics [s].
-        control_dt: time step of the controller [s].
         box_sizes: edges of the boxes to draw from [m]: 0.06 (50 g), 0.08 (80 g).
-        stiffness: linear stiffness of the impedance [N/m].
-        damping_ratio: of the impedance [-].
-        p_max: power limit [W]: of the tank where there is one, and of the overload metric.
-        ppo: settings of PPO.
     """
 
     run_dir: Path = Path("runs/push")
-    seed: int = 0
-    resume: bool = False
-    num_envs: int = 128
-    num_threads: int = 0
-    torch_threads: int = 1
-    duration: float = 3.0
-    physics_dt: float = 0.0005
-    control_dt: float = 0.01
     box_sizes: tuple[float, ...] = (0.06, 0.08)
-    stiffness: float = 400.0
-    damping_ratio: float = 1.0
-    p_max: float = 2.0
-    ppo: PPOConfig = field(default_factory=PPOConfig)
-
-    @property
-    def horizon(self) -> int:
-        """Control steps of an episode."""
-        return max(1, round(self.duration / self.control_dt))
 
 
 @dataclass(frozen=True)
@@ -167,31 +131,6 @@ def make_push_env(
     )
 
 
-def make_push_controller(config: PushConfig) -> CartesianImpedanceController:
-    """The impedance controller of a pushing recipe.
-
-    Args:
-        config: the recipe's options.
-
-    Returns:
-        The controller.
-    """
-    linear = (config.stiffness,) * 3
-    return CartesianImpedanceController((*linear, 30.0, 30.0, 30.0), config.damping_ratio)
-
-
-def push_metrics(config: PushConfig) -> MetricsConfig:
-    """Constants of the metrics of a pushing recipe.
-
-    Args:
-        config: the recipe's options.
-
-    Returns:
-        The constants.
-    """
-    return MetricsConfig(dt=config.control_dt, p_max=config.p_max)
-
-
 def make_push_policy(
     env: TransformedEnv, *, initial_scale: float, extra_keys: Sequence[str] = ()
 ) -> tuple[nn.Module, nn.Module]:
@@ -207,13 +146,3 @@ def make_push_policy(
     """
     keys = [*_KNOWN, *extra_keys]
     return make_actor_critic(env, keys, [*keys, *PRIVILEGED], initial_scale=initial_scale)
-
-
-def prepare_torch(config: PushConfig) -> None:
-    """Seed torch and set its threads.
-
-    Args:
-        config: the recipe's options.
-    """
-    torch.set_num_threads(config.torch_threads)
-    torch.manual_seed(config.seed)

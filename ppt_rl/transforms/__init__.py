@@ -1,23 +1,29 @@
 """The stages of the method as TorchRL transforms."""
 
 from ppt_rl.transforms.cartesian_velocity import CartesianVelocityTransform
+from ppt_rl.transforms.contact_via_point import ContactViaPointTransform
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
 from ppt_rl.transforms.episode_metrics import EpisodeMetricsTransform
+from ppt_rl.transforms.heading_frame import HeadingFrameTransform
 from ppt_rl.transforms.impedance import ImpedanceTransform
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from ppt_rl.transforms.macro_step import MacroStepTransform
 from ppt_rl.transforms.power_limit import PowerLimitTransform
 from ppt_rl.transforms.promp import ProMPTransform
+from ppt_rl.transforms.receding_promp import RecedingProMPTransform
 from ppt_rl.transforms.via_point import ViaPointTransform
 
 __all__ = [
     "CartesianVelocityTransform",
+    "ContactViaPointTransform",
     "EnergyTankTransform",
     "EpisodeMetricsTransform",
+    "HeadingFrameTransform",
     "ImpedanceTransform",
     "JointTorqueTransform",
     "MacroStepTransform",
     "PowerLimitTransform",
     "ProMPTransform",
+    "RecedingProMPTransform",
     "ViaPointTransform",
 ]

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 
 from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
+from ppt_rl.functional.heading import from_heading
 from ppt_rl.modules.task_space import TaskSpace
 from ppt_rl.transforms.base import ActionTransform, replace_leaf
 
@@ -38,6 +39,8 @@ class CartesianVelocityTransform(ActionTransform):
         dt: control step [s].
         action_key: the action: velocity outside, reference towards the environment.
         pose_key: end-effector pose observation.
+        heading_key: heading observation: then the action is a velocity ahead, to the left and up, for a task space of
+            x, y, z. None takes the task space's own axes.
 
     Raises:
         ValueError: if a size does not fit, a number is not positive, or an action is not finite.
@@ -60,8 +63,12 @@ class CartesianVelocityTransform(ActionTransform):
         dt: float = 0.01,
         action_key: NestedKey = "action",
         pose_key: NestedKey = "pose",
+        heading_key: NestedKey | None = None,
     ) -> None:
         super().__init__(action_key)
+        if heading_key is not None and task_space.axes != ("x", "y", "z"):
+            raise ValueError(f"task_space has the coordinates {task_space.axes}; expected ('x', 'y', 'z').")
+        self.heading_key = heading_key
         self.task_space = task_space
         self.dt = require_positive("dt", dt, "s")
         self.pose_key = pose_key
@@ -77,7 +84,10 @@ class CartesianVelocityTransform(ActionTransform):
         if position is None:
             position = measured
         lead, speed = self.max_lead.to(action.dtype), self.max_velocity.to(action.dtype)
-        wanted = position + self.dt * speed * action.clamp(-1.0, 1.0)
+        asked = speed * action.clamp(-1.0, 1.0)
+        if self.heading_key is not None:
+            asked = from_heading(asked, *self._require(tensordict, self.heading_key))
+        wanted = position + self.dt * asked
         following = measured + self.task_space.difference(wanted, measured).clamp(-lead, lead)
         # Pulled along by a moving tool, the reference may have to go faster than it is let to say.
         velocity = (self.task_space.difference(following, position) / self.dt).clamp(-speed, speed)

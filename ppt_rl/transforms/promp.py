@@ -91,6 +91,7 @@ class ProMPTransform(ActionTransform):
         positions, velocities, _ = self.promp.decode(weights, phases)
         # Past the end the reference rests where it is.
         velocities = velocities * (phase + offsets <= 1.0 + 0.5 / self.total_steps).unsqueeze(-1)
+        positions, velocities = self._placed(tensordict, positions, velocities)
         reference = torch.cat([self.task_space.pose(positions), self.task_space.twist(velocities)], -1)
         tensordict.set(self.action_key, reference[..., :-1, :])
         for key, value in (
@@ -111,6 +112,10 @@ class ProMPTransform(ActionTransform):
             return torch.zeros_like(action[..., :1]), position, torch.zeros_like(position)
         position, velocity = self._require(tensordict, "reference_position", "reference_velocity")
         return phase, position, velocity
+
+    def _placed(self, tensordict: TensorDictBase, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
+        """Decoded positions and velocities ``(*B, N + 1, D)`` in the coordinates of the task space."""
+        return positions, velocities
 
     def _weights(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
         reference = tensordict.get(self.weights_key, None)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Transform
 
+from ppt_rl.functional.heading import to_heading
 from ppt_rl.functional.promp import unvec
 from ppt_rl.modules.promp import ProMP
 
@@ -31,6 +33,8 @@ class ViaPointTransform(Transform):
         promp: the movement primitive and its prior.
         write_cov: whether the covariance is written too.
         prefix: keys of the via-points' nest; empty for the root.
+        frame: observations of pose and heading: then via-points in world coordinates are turned to heading axes from
+            the end effector, where a :class:`RecedingProMPTransform` has its weights. None takes them as they are.
 
     Raises:
         KeyError: if a via-point entry is missing.
@@ -40,7 +44,14 @@ class ViaPointTransform(Transform):
         Paper, eqs. (15) and (16).
     """
 
-    def __init__(self, promp: ProMP, *, write_cov: bool = False, prefix: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        promp: ProMP,
+        *,
+        write_cov: bool = False,
+        prefix: tuple[str, ...] = (),
+        frame: tuple[NestedKey, NestedKey] | None = None,
+    ) -> None:
         def keys(names: tuple[str, ...]) -> list[NestedKey]:
             return [(*prefix, name) if prefix else name for name in names]
 
@@ -50,6 +61,7 @@ class ViaPointTransform(Transform):
         super().__init__(in_keys=self._position_keys[:3], out_keys=out)
         self.promp = promp
         self.write_cov = write_cov
+        self.frame = frame
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         phase, position, cov = (next_tensordict.get(key, None) for key in self._position_keys[:3])
@@ -60,11 +72,21 @@ class ViaPointTransform(Transform):
             )
         velocity = [next_tensordict.get(key, None) for key in self._velocity_keys]
         mask = next_tensordict.get(self._position_keys[3], None)
+        if self.frame is not None:
+            position, cov = self._in_frame(next_tensordict, position, cov)
         posterior = self.promp.posterior(phase, position, cov, mask, *velocity)
         next_tensordict.set(self._mean_key, unvec(posterior.mean, self.promp.num_basis).to(position.dtype))
         if self.write_cov:
             next_tensordict.set(self._cov_key, posterior.cov.to(position.dtype))
         return next_tensordict
+
+    def _in_frame(self, tensordict: TensorDictBase, position: Tensor, cov: Tensor) -> tuple[Tensor, Tensor]:
+        """Via-points ``(*B, M, 3)`` and covariances in heading axes from the end effector."""
+        pose, heading = (tensordict.get(key) for key in self.frame or ())
+        heading = heading.unsqueeze(-2)
+        position = to_heading(position - pose[..., None, :3], heading)
+        once = to_heading(cov, heading.unsqueeze(-2))  # the rows of a symmetric matrix, then its columns
+        return position, to_heading(once.mT, heading.unsqueeze(-2))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return self._call(tensordict_reset)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from ppt_rl.training import PushConfig, make_push_controller, make_push_env, prepare_torch, push_metrics
+from ppt_rl.training import PushConfig, episode_metrics, make_controller, make_push_env, prepare_torch
 from tests.envs.scenes import leaves
 
 CONFIG = PushConfig(num_envs=3, num_threads=1, duration=0.2, physics_dt=0.002, control_dt=0.02, seed=5)
@@ -38,11 +38,11 @@ def test_number_seed_and_audit_of_the_environment_can_be_others_than_the_options
 
 def test_controller_and_metrics_take_their_constants_from_the_options():
     config = replace(CONFIG, stiffness=123.0, damping_ratio=0.7, p_max=1.5)
-    controller = make_push_controller(config)
+    controller = make_controller(config)
     assert controller.stiffness[:3].tolist() == [123.0] * 3
-    undamped = make_push_controller(replace(config, damping_ratio=1.4))
+    undamped = make_controller(replace(config, damping_ratio=1.4))
     torch.testing.assert_close(undamped.damping, 2 * controller.damping)
-    assert (push_metrics(config).dt, push_metrics(config).p_max) == (0.02, 1.5)
+    assert (episode_metrics(config).dt, episode_metrics(config).p_max) == (0.02, 1.5)
 
 
 def test_seeding_repeats_the_numbers_and_sets_the_threads():

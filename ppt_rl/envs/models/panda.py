@@ -9,7 +9,7 @@ from typing import Any
 from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.modules.panda import DH, FLANGE, INERTIAL, JOINT_LIMITS, TORQUE_LIMITS
 
-__all__ = ["PADDLE", "Tool", "attach_tool", "panda_model", "remove_visual_geoms"]
+__all__ = ["CYLINDER", "PADDLE", "Tool", "attach_tool", "panda_model", "remove_visual_geoms"]
 
 #: Reflected rotor inertia of a joint [kg m^2]: the order of the Panda's drives; it keeps the wrist calm at 100 Hz.
 ARMATURE = 0.1
@@ -22,21 +22,28 @@ _PLA = 1240.0
 
 @dataclass(frozen=True)
 class Tool:
-    """A rigid tool: a stem along the flange axis that ends in a cross-bar.
+    """A rigid tool: a stem along the flange axis, which ends in a cross-bar or by itself.
 
     Attributes:
-        length: flange to end-effector point, the centre of the bar [m].
-        bar: size of the bar across, along and up the tool's x, y, z axes [m].
+        length: flange to end-effector point, the centre of the bar or of the stem's end [m].
         stem_radius: [m].
+        bar: size of the bar across, along and up the tool's x, y, z axes [m]; None for a stem alone.
     """
 
     length: float
-    bar: tuple[float, float, float]
     stem_radius: float
+    bar: tuple[float, float, float] | None = None
+
+    @property
+    def half_thickness(self) -> float:
+        """From the tool's axis to its face along x [m]."""
+        return self.stem_radius if self.bar is None else 0.5 * self.bar[0]
 
 
 #: The paddle of the pushing task: 12 x 1 x 1 cm, the long side along the tool's y axis (paper, fig. 5).
-PADDLE = Tool(length=0.16, bar=(0.01, 0.12, 0.01), stem_radius=0.006)
+PADDLE = Tool(length=0.16, stem_radius=0.006, bar=(0.01, 0.12, 0.01))
+#: The cylinder of the maze task: 12 cm long, 2.5 cm thick (paper, fig. 5).
+CYLINDER = Tool(length=0.12, stem_radius=0.0125)
 
 #: Shells of the links: (body, shape, colour, radius, from, to), all in link frames [m]. Only for looks.
 _SHELLS: tuple[tuple[int, str, tuple[float, ...], float, tuple[float, ...], tuple[float, ...]], ...] = (
@@ -146,11 +153,12 @@ def attach_tool(root: Any, tool: Tool) -> Any:
     body = root.find("body", "link7").add(
         "body", name="tool", pos=[0, 0, length], quat=[math.cos(turn / 2), 0, 0, math.sin(turn / 2)], gravcomp=1
     )
-    bar = [0.5 * side for side in tool.bar]
     common: dict[str, Any] = {"rgba": _TOOL, "density": _PLA, "contype": 1, "conaffinity": 0, "group": 1}
-    stem_end = tool.length - bar[2]
+    stem_end = tool.length - (0.0 if tool.bar is None else 0.5 * tool.bar[2])
     body.add("geom", name="stem", type="cylinder", size=[tool.stem_radius], fromto=[0, 0, 0, 0, 0, stem_end], **common)
-    body.add("geom", name="bar", type="box", size=bar, pos=[0, 0, tool.length], **common)
+    if tool.bar is not None:
+        half = [0.5 * side for side in tool.bar]
+        body.add("geom", name="bar", type="box", size=half, pos=[0, 0, tool.length], **common)
     site = body.add("site", name="end_effector", pos=[0, 0, tool.length], size=[0.004], group=4)
     sensor = root.sensor
     sensor.add("framepos", name="position", objtype="site", objname=site)

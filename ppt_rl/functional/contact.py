@@ -1,0 +1,86 @@
+"""What the force at the wrist tells of the wall that a tool touches."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+__all__ = ["WallContact", "is_touching", "wall_contact"]
+
+
+class WallContact(NamedTuple):
+    """A wall as the tool feels it, world axes on the map.
+
+    Attributes:
+        force: ``(*B, 2)`` of the robot on the wall, the floor's friction taken off [N].
+        normal: ``(*B, 2)`` unit vector into the wall [-].
+        tangent: ``(*B, 2)`` unit vector along the wall, the way that the tool goes [-].
+    """
+
+    force: Tensor
+    normal: Tensor
+    tangent: Tensor
+
+
+def is_touching(touching: Tensor, force: Tensor, *, on: float, off: float) -> Tensor:
+    """Contact with hysteresis: it begins above one force and ends below a smaller one.
+
+    Args:
+        touching: ``(*B, 1)`` whether there was contact.
+        force: ``(*B, 1)`` size of the force [N].
+        on: contact begins above it [N].
+        off: contact ends below it [N].
+
+    Returns:
+        ``(*B, 1)`` whether there is contact.
+    """
+    return force > torch.where(touching, off, on)
+
+
+def wall_contact(force: Tensor, velocity: Tensor, heading: Tensor, *, friction: float, slow: float) -> WallContact:
+    r"""Normal and tangent of the wall from force and motion.
+
+    While the tool slides, its velocity is the tangent. Where it is held up, the tangent follows from the force, which
+    friction tilts from the normal towards the motion by ``atan(mu)``:
+
+    .. math::
+        f_w &= f_{xy} - \mu\,|f_z|\,v / (|v| + v_s), \quad s = \operatorname{sign}(h \times f_w) \\
+        n_f &= R(s \arctan\mu)\, f_w / |f_w|, \quad t_f = R(-s\,\pi/2)\, n_f \\
+        t &\propto w\,v/|v| + (1 - w)\, t_f, \quad n = R(s\,\pi/2)\, t, \qquad w = |v|^2 / (|v|^2 + v_s^2)
+
+    ``s`` is +1 with the wall on the left. A velocity against the heading does not count.
+
+    Args:
+        force: ``(*B, 3)`` of the robot on the world, at the tool, world axes [N].
+        velocity: ``(*B, 2)`` v of the tool on the map, world axes [m/s].
+        heading: ``(*B, 1)`` of the tool [rad].
+        friction: mu, an estimate: of walls and floor on the tool [-].
+        slow: v_s, the speed below which the force is believed rather than the motion [m/s].
+
+    Returns:
+        The wall; without any force its tangent is the motion's direction, or the heading.
+    """
+    ahead = torch.cat([heading.cos(), heading.sin()], -1)
+    speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
+    on_floor = friction * force[..., 2:3].abs() * velocity / (speed + slow)
+    on_wall = force[..., :2] - on_floor
+    cross = ahead[..., :1] * on_wall[..., 1:] - ahead[..., 1:] * on_wall[..., :1]
+    side = torch.where(cross >= 0, 1.0, -1.0).to(force.dtype)
+    size = torch.linalg.vector_norm(on_wall, dim=-1, keepdim=True)
+    pushed = on_wall / size.clamp_min(1e-9)
+    turn = side * (math.atan(friction) - math.pi / 2)  # from the force to the tangent
+    felt = torch.where(size > 1e-6, _turned(pushed, turn.cos(), turn.sin()), ahead)
+    forward = ((velocity * ahead).sum(-1, keepdim=True) > 0).to(force.dtype)
+    weight = forward * speed.square() / (speed.square() + slow**2)
+    tangent = weight * velocity / speed.clamp_min(1e-9) + (1 - weight) * felt
+    tangent = tangent / torch.linalg.vector_norm(tangent, dim=-1, keepdim=True).clamp_min(1e-9)
+    return WallContact(on_wall, _turned(tangent, torch.zeros_like(side), side), tangent)
+
+
+def _turned(vector: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
+    """Turn on the map, to the left."""
+    x, y = vector[..., :1], vector[..., 1:]
+    return torch.cat([cos * x - sin * y, sin * x + cos * y], -1)
