@@ -17,7 +17,7 @@ push: $(VENV)/.installed
 
 # Compare the four variants over three seeds (hours; go on by running it again): results/push.
 study: $(VENV)/.installed
-	$(PY) recipes/study.py --task push --seeds 3 --episodes 256 --pretrained pretrained
+	$(PY) recipes/study.py --task push --seeds 3 --episodes 512 --pretrained pretrained
 
 # Run the tests.
 test: $(VENV)/.installed
