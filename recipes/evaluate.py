@@ -30,7 +30,7 @@ from ppt_rl.training import (
 )
 from ppt_rl.training.logs import write_text_atomically
 from ppt_rl.training.plots import plot_push_episode, plot_training
-from ppt_rl.training.video import push_frames, write_video
+from ppt_rl.training.video import episode_frames, write_video
 
 _TRACE = ("joint_position", "pose", "box_pose", "power")
 
@@ -92,6 +92,8 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
 def main(run: Config) -> None:
     """Evaluate and report."""
     policy = load_policy(run.checkpoint)
+    if policy.task != "push":
+        raise ValueError(f"{policy.variant} is no pushing policy; evaluate it by recipes/evaluate_maze.py.")
     limits = tank_limits(run, policy)
     boxes = run.box_sizes or policy.config.box_sizes
     groups = [boxes] + [(size,) for size in boxes if run.per_box and len(boxes) > 1]
@@ -191,7 +193,7 @@ def draw(run: Config, policy: Policy, boxes: tuple[float, ...]) -> None:
     if video is not None:
         every = 4
         try:
-            frames = push_frames(env.base_env, recorded, range(run.film), every=every)
+            frames = episode_frames(env.base_env, recorded, range(run.film), every=every)
             write_video(video, frames, fps=1.0 / (every * config.control_dt))
             print(f"video in {video}")
         except RuntimeError as error:

@@ -5,22 +5,23 @@ Trains on straight corridors only. With defaults, or look at the options: ``pyth
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from torch import nn
 from torchrl.envs import Compose, TransformedEnv
 
-from ppt_rl.envs import MazeRanges
+from ppt_rl.envs import MazeLayout, MazeRanges
 from ppt_rl.modules import PandaKinematics, ProMP
 from ppt_rl.training import (
     RecedingConfig,
-    episode_metrics,
     fit_maze_prior,
     make_controller,
     make_maze_env,
     make_maze_policy,
     make_maze_promp,
+    maze_metrics,
     maze_space,
     prepare_torch,
     run_recipe,
@@ -42,14 +43,9 @@ VARIANT = "ppt_maze"
 
 @dataclass(frozen=True)
 class Config(RecedingConfig):
-    """Train PPT (ProMP + PPO + energy tank) for the maze, on straight corridors.
-
-    Attributes:
-        e_max: capacity of the tank [J].
-    """
+    """Train PPT (ProMP + PPO + energy tank) for the maze, on straight corridors."""
 
     run_dir: Path = Path("runs/ppt_maze")
-    e_max: float = 3.0
 
 
 def make_modules(config: Config) -> dict[str, ProMP]:
@@ -65,24 +61,30 @@ def make_env(
     seed: int | None = None,
     audit: bool = False,
     ranges: MazeRanges | None = None,
+    layouts: Sequence[MazeLayout] = (),
 ) -> TransformedEnv:
-    """Corridors (or, with ranges, mazes) with PPT's chain: what stands above the macro step runs at control rate."""
-    base, dt = make_maze_env(config, num_envs=num_envs, seed=seed, audit=audit, ranges=ranges), config.control_dt
-    kinematics = PandaKinematics(base.tool_length)
+    """Straight corridors (or, with ranges or layouts, mazes) with PPT's chain; above the macro step: control rate."""
+    base = make_maze_env(config, num_envs=num_envs, seed=seed, audit=audit, ranges=ranges, layouts=layouts)
+    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
     return TransformedEnv(
         base,
         Compose(
             JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
             EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
             ImpedanceTransform(make_controller(config)),
-            EpisodeMetricsTransform(episode_metrics(config)),
+            EpisodeMetricsTransform(maze_metrics(config)),
             HeadingFrameTransform(dt=dt),
             ContactViaPointTransform(config.promp_duration, dt=dt),
-            MacroStepTransform(config.replan_steps, discount=config.ppo.gamma),
+            MacroStepTransform(
+                config.replan_steps,
+                discount=config.ppo.gamma,
+                interrupt_key="contact_began" if config.replan_on_contact else None,
+            ),
             RecedingProMPTransform(
                 promp,
                 maze_space(),
                 residual_scale=config.residual_scale,
+                max_lead=(config.max_lead, 0.001, 0.0),
                 replan_steps=config.replan_steps,
                 dt=dt,
             ),

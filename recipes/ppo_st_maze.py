@@ -5,20 +5,21 @@ Trains on straight corridors only. With defaults, or look at the options: ``pyth
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from torch import nn
 from torchrl.envs import Compose, TransformedEnv
 
-from ppt_rl.envs import MazeRanges
+from ppt_rl.envs import MazeLayout, MazeRanges
 from ppt_rl.modules import PandaKinematics
 from ppt_rl.training import (
     StepWiseMazeConfig,
-    episode_metrics,
     make_controller,
     make_maze_env,
     make_maze_policy,
+    maze_metrics,
     maze_space,
     prepare_torch,
     run_recipe,
@@ -37,14 +38,9 @@ VARIANT = "st_maze"
 
 @dataclass(frozen=True)
 class Config(StepWiseMazeConfig):
-    """Train ST (step-wise PPO + energy tank) for the maze, on straight corridors.
-
-    Attributes:
-        e_max: capacity of the tank [J].
-    """
+    """Train ST (step-wise PPO + energy tank) for the maze, on straight corridors."""
 
     run_dir: Path = Path("runs/st_maze")
-    e_max: float = 3.0
 
 
 def make_modules(config: Config) -> dict[str, nn.Module]:
@@ -59,17 +55,18 @@ def make_env(
     seed: int | None = None,
     audit: bool = False,
     ranges: MazeRanges | None = None,
+    layouts: Sequence[MazeLayout] = (),
 ) -> TransformedEnv:
-    """Corridors (or, with ranges, mazes) with ST's chain: everything runs at control rate."""
-    base, dt = make_maze_env(config, num_envs=num_envs, seed=seed, audit=audit, ranges=ranges), config.control_dt
-    kinematics = PandaKinematics(base.tool_length)
+    """Straight corridors (or, with ranges or layouts, mazes) with ST's chain: everything runs at control rate."""
+    base = make_maze_env(config, num_envs=num_envs, seed=seed, audit=audit, ranges=ranges, layouts=layouts)
+    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
     return TransformedEnv(
         base,
         Compose(
             JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
             EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
             ImpedanceTransform(make_controller(config)),
-            EpisodeMetricsTransform(episode_metrics(config)),
+            EpisodeMetricsTransform(maze_metrics(config)),
             HeadingFrameTransform(dt=dt),
             CartesianVelocityTransform(
                 maze_space(), max_velocity=config.velocity, max_lead=config.lead, dt=dt, heading_key="heading"

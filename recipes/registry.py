@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 from torch import nn
 from torchrl.envs import ExcludeTransform, TransformedEnv
 
+from ppt_rl.envs import MazeLayout, MazeRanges
 from ppt_rl.training import (
+    MAZE_PRIVILEGED,
     PRIVILEGED,
     CheckpointMismatch,
     PPOConfig,
@@ -23,8 +25,15 @@ from ppt_rl.training import (
     pretrained_card,
 )
 
-#: Variants and the recipes that build their chains, in the order of the paper's table.
-RECIPES = {"pp_push": "ppo_pp_push", "ppt_push": "ppo_ppt_push", "s_push": "ppo_s_push", "st_push": "ppo_st_push"}
+#: Variants and the recipes that build their chains, in the order of the paper's tables.
+RECIPES = {
+    "pp_push": "ppo_pp_push",
+    "ppt_push": "ppo_ppt_push",
+    "s_push": "ppo_s_push",
+    "st_push": "ppo_st_push",
+    "ppt_maze": "ppo_ppt_maze",
+    "st_maze": "ppo_st_maze",
+}
 
 
 class Policy(NamedTuple):
@@ -44,24 +53,54 @@ class Policy(NamedTuple):
     modules: dict[str, nn.Module]
     actor: nn.Module
 
+    def with_changes(self, changes: Mapping[str, Any]) -> Policy:
+        """The same policy with some options changed.
+
+        Args:
+            changes: options by name.
+
+        Returns:
+            The policy.
+        """
+        return self._replace(config=replace(self.config, **changes))
+
+    @property
+    def task(self) -> str:
+        """Name of the task: ``push`` or ``maze``."""
+        return self.variant.rsplit("_", 1)[-1]
+
     def make_env(
-        self, *, num_envs: int, seed: int, audit: bool = False, privileged: bool = False, **changes: Any
+        self,
+        *,
+        num_envs: int,
+        seed: int,
+        audit: bool = False,
+        privileged: bool = False,
+        layouts: Sequence[MazeLayout] = (),
+        ranges: MazeRanges | None = None,
+        **changes: Any,
     ) -> TransformedEnv:
-        """The recipe's chain.
+        """The recipe's chain on the task of the test.
 
         Args:
             num_envs: environments that step together.
             seed: of the episodes.
             audit: whether power and work are measured at the physics' rate too.
             privileged: whether privileged observations stay, for pictures; the policy reads none.
+            layouts: mazes to take in turn, for a maze policy.
+            ranges: of random mazes where there are no layouts; None takes those of the test.
             **changes: options to change.
 
         Returns:
             The environment.
         """
         config = replace(self.config, **changes)
-        env = self.recipe.make_env(config, *self.modules.values(), num_envs=num_envs, seed=seed, audit=audit)
-        return env if privileged else env.append_transform(ExcludeTransform(*PRIVILEGED))
+        test: dict[str, Any] = {}
+        if self.task == "maze":
+            test = {"layouts": layouts, "ranges": MazeRanges() if ranges is None else ranges}
+        env = self.recipe.make_env(config, *self.modules.values(), num_envs=num_envs, seed=seed, audit=audit, **test)
+        hidden = MAZE_PRIVILEGED if self.task == "maze" else PRIVILEGED
+        return env if privileged else env.append_transform(ExcludeTransform(*hidden))
 
 
 def recipe_of(variant: str) -> Any:
@@ -102,7 +141,8 @@ def restored_config(recipe: Any, settings: Mapping[str, Any], source: Path) -> A
         raise CheckpointMismatch(f"{source} was written by another version of {recipe.VARIANT}: options {differing}.")
     try:
         settings["ppo"] = PPOConfig(**settings["ppo"])
-        settings["box_sizes"] = tuple(settings["box_sizes"])
+        if "box_sizes" in settings:
+            settings["box_sizes"] = tuple(settings["box_sizes"])
         settings["run_dir"] = Path(settings["run_dir"])
         return recipe.Config(**settings)
     except (TypeError, ValueError) as error:

@@ -56,9 +56,9 @@ class Run(NamedTuple):
         """Logged scalars by name, and ``control_steps``."""
         return _columns((self.results / "curves.csv").read_text())
 
-    def episodes(self) -> dict[str, NDArray[np.float64]]:
-        """Every evaluated episode: arrays by metric."""
-        return _columns(gzip.decompress((self.results / "episodes.csv.gz").read_bytes()).decode())
+    def episodes(self, name: str = "episodes") -> dict[str, NDArray[np.float64]]:
+        """Every evaluated episode: arrays by metric; ``name`` is that of the file, for a baseline's."""
+        return _columns(gzip.decompress((self.results / f"{name}.csv.gz").read_bytes()).decode())
 
     def trace(self) -> dict[str, NDArray[np.float64]]:
         """The recorded episode: arrays over its control steps."""
@@ -97,13 +97,20 @@ def save_run(run: Run, policy: Policy, *, episodes: int, seed: int, num_threads:
     }  # fmt: skip
     write_bytes_atomically(run.results / "episodes.csv.gz", gzip.compress(as_csv(rows).encode(), mtime=0))
     write_bytes_atomically(run.results / "episode.npz", _recorded(policy, seed))
-    write_text_atomically(run.results / "curves.csv", _curves(run))
+    write_text_atomically(run.results / "curves.csv", curves_csv(run))
     shutil.copyfile(run.run_dir / "config.json", run.results / "config.json")
     write_text_atomically(run.results / "evaluation.json", json.dumps(record, indent=2) + "\n")
 
 
-def _curves(run: Run) -> str:
-    """Logged scalars as CSV, a row for each batch in which episodes ended."""
+def curves_csv(run: Run) -> str:
+    """Logged scalars as CSV, a row for each batch in which episodes ended.
+
+    Args:
+        run: a trained run.
+
+    Returns:
+        The text.
+    """
     steps, _ = read_scalar(run.run_dir, "success")
     table = {name: dict(zip(*read_scalar(run.run_dir, name), strict=True)) for name in _CURVES}
     return as_csv([{"control_steps": step, **{name: values[step] for name, values in table.items()}} for step in steps])
@@ -139,7 +146,7 @@ def publish(run: Run, policy: Policy, directory: Path) -> None:
         "seed": run.seed,
         "config": config,
         "versions": versions(),
-        "evaluation": {"episodes": record["episodes"], "eval_seed": record["eval_seed"], "boxes": record["boxes"]},
+        "evaluation": {key: record[key] for key in ("episodes", "eval_seed", "boxes", "rows") if key in record},
     }
     save_pretrained(directory, {"actor": policy.actor, **policy.modules}, card)
     write_text_atomically(directory / "README.md", _card_text(card))
@@ -147,17 +154,20 @@ def publish(run: Run, policy: Policy, directory: Path) -> None:
 
 def _card_text(card: Mapping[str, Any]) -> str:
     evaluation = card["evaluation"]
+    in_maze = "rows" in evaluation
+    rows: Mapping[str, Any] = evaluation["rows" if in_maze else "boxes"]
+    where = "mazes never seen" if in_maze else "fresh episodes a box"
     lines = [
         f"# {card['variant']}, seed {card['seed']}",
         "",
         f"Trained by `{card['command']}` for {card['config']['ppo']['total_control_steps']:,} control steps;",
-        f"{evaluation['episodes']} fresh episodes a box (seed {evaluation['eval_seed']}), deterministic, without the",
-        "box's privileged pose; mean (95 % interval over episodes). The last checkpoint of its run, not the best.",
+        f"{evaluation['episodes']} {where} (seed {evaluation['eval_seed']}), deterministic, without privileged",
+        "observations; mean (95 % interval over episodes). The last checkpoint of its run, not the best.",
         "",
-        "| box | " + " | ".join(next(iter(evaluation["boxes"].values()))) + " |",
-        "|---" * (1 + len(next(iter(evaluation["boxes"].values())))) + "|",
+        f"| {'' if in_maze else 'box'} | " + " | ".join(next(iter(rows.values()))) + " |",
+        "|---" * (1 + len(next(iter(rows.values())))) + "|",
     ]
-    for box, metrics in evaluation["boxes"].items():
+    for box, metrics in rows.items():
         cells = [f"{m['mean']:.3f} ({m['ci95'][0]:.3f}, {m['ci95'][1]:.3f})" for m in metrics.values()]
         lines.append(f"| {box} | " + " | ".join(cells) + " |")
     lines += ["", "Versions: " + ", ".join(f"{name} {number}" for name, number in card["versions"].items()) + ".", ""]

@@ -50,7 +50,9 @@ class MazeRewards:
     Attributes:
         progress: of the way along the centre line, whole way = 1 [1].
         success: where the end is reached [1].
-        free_space: of the way made without touching a wall, whole way = 1 [1].
+        free_space: penalty rate on speed other than ``cruise``, with the square of the relative difference: a straight
+            corridor alone does not teach that the next turn may be near [1/s].
+        cruise: speed to go at [m/s].
         contact: penalty rate at a force of ``force_scale`` on the map, and with its square [1/s].
         force_scale: [N].
         jolt: penalty rate at an acceleration of 1 m/s^2, and with its square [1/s].
@@ -60,10 +62,11 @@ class MazeRewards:
 
     progress: float = 3.0
     success: float = 1.0
-    free_space: float = 0.5
-    contact: float = 0.5
+    free_space: float = 2.0
+    cruise: float = 0.06
+    contact: float = 3.0
     force_scale: float = 4.0
-    jolt: float = 1.0
+    jolt: float = 5.0
     failure: float = 2.0
     power: float = 0.1
 
@@ -193,7 +196,7 @@ class PandaMazeEnv(PandaEnv):
         self._episode = MazeEpisodes(self.num_envs, self.dtype)
         self.layouts: list[MazeLayout | None] = [None] * self.num_envs
         weights, dt = self.rewards, self.control_dt
-        rates = [weights.progress, weights.free_space, -dt, -weights.power * dt]
+        rates = [weights.progress, -weights.free_space * dt, -dt, -weights.power * dt]
         self._weights = torch.tensor(rates, dtype=self.dtype)
 
     def _begin(self, rows: Rows) -> np.ndarray:
@@ -261,12 +264,13 @@ class PandaMazeEnv(PandaEnv):
         episode, weights = self._episode, self.rewards
         wrench, twist = observation["wrench"], observation["twist"]
         gained = (place.travelled - episode.travelled) / episode.length
-        clear = place.offset.abs() < place.half_width - self.tool.stem_radius - 5e-4
+        speed = torch.linalg.vector_norm(twist[:, :2], dim=-1, keepdim=True)
+        haste = (speed / weights.cruise - 1).square()
         pressed = wrench[:, :2].square().sum(-1, keepdim=True) / weights.force_scale**2
         jolt = ((twist[:, :3] - episode.velocity) / self.control_dt).square().sum(-1, keepdim=True)
         power = (wrench * twist).sum(-1, keepdim=True).abs()  # [W]
         felt = weights.contact * pressed + weights.jolt * jolt
-        terms = torch.cat([gained, gained * clear, felt, power], -1) * self._weights
+        terms = torch.cat([gained, haste, felt, power], -1) * self._weights
         terms[:, :1] += weights.success * success
         terms[:, 2:3] -= weights.failure * failed
         return terms

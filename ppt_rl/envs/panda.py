@@ -187,6 +187,8 @@ class PandaEnv(RenderedScenes, EnvBase):
 
     def _masked_step(self, torque: Tensor, mask: Tensor) -> None:
         rows = mask.nonzero().squeeze(-1)
+        if not len(rows):
+            return
         step = self.engine.step(torque[rows].numpy(), rows.numpy())
         good = ~torch.from_numpy(step.diverged)
         moved = torch.from_numpy(step.sensors[:, -1]).to(self.dtype)

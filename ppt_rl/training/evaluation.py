@@ -50,6 +50,12 @@ POWER_AND_WORK = {
 }
 
 
+#: Which metrics are zeros and ones.
+_RATES = ("success", "left_corridor", "unsafe")
+#: What an episode is told by besides, in the tasks that have it.
+_WHERE_THERE = ("box_size", "left_corridor", "unsafe")
+
+
 @torch.no_grad()
 def run_episodes(env: EnvBase, policy: Any, episodes: int) -> dict[str, np.ndarray]:
     """Run a policy deterministically and collect one row per episode.
@@ -62,8 +68,9 @@ def run_episodes(env: EnvBase, policy: Any, episodes: int) -> dict[str, np.ndarr
         episodes: how many.
 
     Returns:
-        For each metric, ``success`` and ``progress``, an array ``(episodes,)``; ``box_size`` where there is one, and,
-        where it is audited, the rest of :data:`POWER_AND_WORK`.
+        For each metric, ``success``, ``progress`` and ``control_steps``, an array ``(episodes,)``; ``box_size``,
+        ``left_corridor`` and ``unsafe`` where there are such, and, where it is audited, the rest of
+        :data:`POWER_AND_WORK`.
 
     Raises:
         ValueError: if ``episodes`` is below 1.
@@ -84,11 +91,14 @@ def _one_round(env: EnvBase, policy: Any) -> dict[str, np.ndarray]:
     tensordict = env.reset()
     rows: dict[str, np.ndarray] = {}
     waiting = torch.ones(env.batch_size, dtype=torch.bool)
+    elapsed = torch.zeros(env.batch_size, dtype=torch.int64)
     while bool(waiting.any()):
         tensordict = env.step(policy(tensordict))
         following = tensordict["next"]
         ended = following["done"].squeeze(-1).cpu() & waiting
-        for name, value in _episode_values(following).items():
+        steps = following.get("control_steps", None)
+        elapsed += 1 if steps is None else steps.squeeze(-1).cpu()
+        for name, value in (_episode_values(following) | {"control_steps": elapsed}).items():
             rows.setdefault(name, np.zeros(env.batch_size))[ended.numpy()] = value.cpu().numpy()[ended.numpy()]
         waiting &= ~ended
         tensordict = env.step_mdp(tensordict)
@@ -100,8 +110,7 @@ def _one_round(env: EnvBase, policy: Any) -> dict[str, np.ndarray]:
 def _episode_values(following: TensorDictBase) -> dict[str, torch.Tensor]:
     values = {name: following["metrics", name] for name in following["metrics"].keys()}
     values |= {name: following[name].float() for name in ("success", "progress")}
-    if "box_size" in following.keys():
-        values["box_size"] = following["box_size"]
+    values |= {name: following[name].float() for name in _WHERE_THERE if name in following.keys()}
     audit = following.get("audit", None)
     if audit is not None:
         values |= {f"audit_{name}": audit[name] for name in audit.keys()}
@@ -142,7 +151,7 @@ def summarise(rows: dict[str, np.ndarray], names: Iterable[str] = REPORTED) -> d
     """
     summary: dict[str, dict[str, Any]] = {}
     for name in names:
-        low, high = interval(rows[name], is_rate=name == "success")
+        low, high = interval(rows[name], is_rate=name in _RATES)
         if REPORTED.get(name) == "0-1":
             low, high = max(0.0, low), min(1.0, high)
         summary[name] = {"mean": float(rows[name].mean()), "ci95": [low, high]}

@@ -12,8 +12,9 @@ from torch import Tensor, nn
 from torchrl.envs import Compose, TransformedEnv
 
 from ppt_rl.envs.maze import PandaMazeEnv
-from ppt_rl.envs.models import MazeRanges
+from ppt_rl.envs.models import MazeLayout, MazeRanges
 from ppt_rl.functional.heading import to_heading
+from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.kinematics import PandaKinematics
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
@@ -21,6 +22,8 @@ from ppt_rl.training.config import TaskConfig, make_controller
 from ppt_rl.training.ppo import PPOConfig
 from ppt_rl.training.recipe import make_actor_critic
 from ppt_rl.training.wall_follower import WallFollower
+from ppt_rl.transforms.energy_tank import EnergyTankTransform
+from ppt_rl.transforms.episode_metrics import EpisodeMetricsTransform
 from ppt_rl.transforms.heading_frame import HeadingFrameTransform
 from ppt_rl.transforms.impedance import ImpedanceTransform
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
@@ -32,9 +35,12 @@ __all__ = [
     "RecedingConfig",
     "StepWiseMazeConfig",
     "fit_maze_prior",
+    "make_follower",
+    "make_follower_env",
     "make_maze_env",
     "make_maze_policy",
     "make_maze_promp",
+    "maze_metrics",
     "maze_space",
 ]
 
@@ -55,19 +61,27 @@ class MazeConfig(TaskConfig):
     Attributes:
         training_duration: episode length in the straight corridors of training [s]; ``duration`` is that of the test.
         posture_stiffness: of the arm's posture in the nullspace [N m/rad]: low, since the maze takes the arm far.
-        speed: that the demonstrations go at [m/s].
+        follower_speed: of the hand-written follower, which gives the demonstrations and is the baseline [m/s].
+        follower_lead: of its reference ahead of the tool [m].
+        e_max: capacity of the tank [J].
+        cutoff: of the low-pass in the metrics of jerk and force [Hz].
         depth: of the reference below the tool, which presses it on the floor [m].
     """
 
     run_dir: Path = Path("runs/maze")
     num_envs: int = 64
     duration: float = 20.0
-    training_duration: float = 10.0
-    stiffness: float = 250.0
+    training_duration: float = 6.0
+    stiffness: float = 150.0
     posture_stiffness: float = 2.0
-    speed: float = 0.06
-    depth: float = 0.008
-    ppo: PPOConfig = field(default_factory=lambda: PPOConfig(gamma=0.998, target_kl=0.01))
+    follower_speed: float = 0.055
+    follower_lead: float = 0.004
+    e_max: float = 3.0
+    cutoff: float = 10.0
+    depth: float = 0.006
+    ppo: PPOConfig = field(
+        default_factory=lambda: PPOConfig(total_control_steps=614_400, max_learning_rate=5e-4, gamma=0.995)
+    )
 
 
 @dataclass(frozen=True)
@@ -81,6 +95,8 @@ class RecedingConfig(MazeConfig):
         residual_ahead: how far a residual of 1 moves a weight ahead [m].
         residual_left: to the left [m].
         residual_up: upwards [m].
+        max_lead: how far ahead of the tool a primitive may begin [m].
+        replan_on_contact: whether a wall that is newly felt ends a chunk early.
         initial_scale: standard deviation of the untrained policy, in residuals [-].
         batch_steps: policy steps of every environment between two updates.
     """
@@ -91,8 +107,10 @@ class RecedingConfig(MazeConfig):
     residual_ahead: float = 0.01
     residual_left: float = 0.01
     residual_up: float = 0.002
-    initial_scale: float = 0.25
-    batch_steps: int = 24
+    max_lead: float = 0.002
+    replan_on_contact: bool = True
+    initial_scale: float = 0.1
+    batch_steps: int = 20
 
     @property
     def residual_scale(self) -> tuple[float, float, float]:
@@ -136,6 +154,7 @@ def make_maze_env(
     seed: int | None = None,
     audit: bool = False,
     ranges: MazeRanges | None = None,
+    layouts: Sequence[MazeLayout] = (),
 ) -> PandaMazeEnv:
     """The bare environment of a maze recipe: straight corridors to train in, or mazes to be tested in.
 
@@ -145,6 +164,7 @@ def make_maze_env(
         seed: instead of the configured one.
         audit: whether power and work are measured at the physics' rate too.
         ranges: of the mazes of the test; None makes the straight corridors of training.
+        layouts: mazes to take in turn instead.
 
     Returns:
         The environment.
@@ -157,6 +177,8 @@ def make_maze_env(
         "seed": config.seed if seed is None else seed,
         "audit": audit,
     }
+    if layouts:
+        return PandaMazeEnv.of(layouts, duration=config.duration, **common)
     if ranges is None:
         return PandaMazeEnv.straight(duration=config.training_duration, **common)
     return PandaMazeEnv.mazes(ranges=ranges, duration=config.duration, **common)
@@ -184,6 +206,53 @@ def make_maze_promp(config: RecedingConfig) -> ProMP:
     )  # fmt: skip
 
 
+def maze_metrics(config: MazeConfig) -> MetricsConfig:
+    """Constants of the metrics of a maze recipe.
+
+    Args:
+        config: the recipe's options.
+
+    Returns:
+        The constants.
+    """
+    return MetricsConfig(dt=config.control_dt, p_max=config.p_max, cutoff=config.cutoff)
+
+
+def make_follower(config: MazeConfig) -> WallFollower:
+    """The hand-written baseline, with the recipe's impedance, depth and speed; it learns nothing.
+
+    Args:
+        config: the recipe's options.
+
+    Returns:
+        The follower, for :func:`make_follower_env`.
+    """
+    return WallFollower(maze_space(), lead=config.follower_lead, speed=config.follower_speed, depth=config.depth)
+
+
+def make_follower_env(config: MazeConfig, base: PandaMazeEnv) -> TransformedEnv:
+    """What the hand-written baseline acts on: references, behind the same tank and impedance as the policies.
+
+    Args:
+        config: the recipe's options.
+        base: corridors or mazes.
+
+    Returns:
+        The environment.
+    """
+    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
+    return TransformedEnv(
+        base,
+        Compose(
+            JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
+            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
+            ImpedanceTransform(make_controller(config)),
+            EpisodeMetricsTransform(maze_metrics(config)),
+            HeadingFrameTransform(dt=dt),
+        ),
+    )
+
+
 @torch.no_grad()
 def fit_maze_prior(promp: ProMP, config: MazeConfig, *, num_corridors: int = 64, seed: int = 0) -> ProMP:
     """Fit the prior of a maze primitive to rollouts of the hand-written follower in straight corridors.
@@ -200,20 +269,9 @@ def fit_maze_prior(promp: ProMP, config: MazeConfig, *, num_corridors: int = 64,
     Returns:
         The primitive.
     """
-    base = make_maze_env(config, num_envs=num_corridors, seed=seed)
-    env = TransformedEnv(
-        base,
-        Compose(
-            JointTorqueTransform(
-                PandaKinematics(base.tool_length), posture_stiffness=config.posture_stiffness, dt=config.control_dt
-            ),
-            ImpedanceTransform(make_controller(config)),
-            HeadingFrameTransform(dt=config.control_dt),
-        ),
-    )
-    follower = WallFollower(maze_space(), lead=0.004, speed=config.speed - 0.005, depth=config.depth)
+    env = make_follower_env(config, make_maze_env(config, num_envs=num_corridors, seed=seed))
     steps = round(promp.duration / config.control_dt)
-    position, heading, alive = _driven(env, follower, 6 * steps)
+    position, heading, alive = _driven(env, make_follower(config), 6 * steps)
     env.close()
     demonstrations = []
     for begin in range(0, len(position) - steps, steps // 4):

@@ -98,28 +98,31 @@ def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, st
 
 
 def plot_promp(
-    promp: ProMP, via: Mapping[str, Tensor], path: Path, *, labels: Sequence[str], samples: int = 101
+    promp: ProMP, via: Mapping[str, Tensor] | None, path: Path, *, labels: Sequence[str], samples: int = 101
 ) -> None:
-    """Prior, posterior and via-points of a movement primitive, one panel a coordinate, each with its +-2 sigma band.
+    """A movement primitive's prior, and its posterior under via-points: one panel a coordinate, +-2 sigma bands.
 
     Args:
         promp: the primitive.
-        via: ``via_phase`` (M,), ``via_position`` (M, D), ``via_cov`` (M, D, D) of one episode.
+        via: ``via_phase`` (M,), ``via_position`` (M, D), ``via_cov`` (M, D, D) of one episode; None draws the prior.
         path: where the picture goes.
         labels: of the coordinates, with units.
         samples: along the phase.
     """
     phase = torch.linspace(0.0, 1.0, samples, dtype=torch.float64)
-    at, position, cov = (via[key].double() for key in ("via_phase", "via_position", "via_cov"))
-    posterior = promp.posterior(at, position, cov)
+    curves = [(promp.prior, _GREY, "prior")]
+    if via is not None:
+        at, position, cov = (via[key].double() for key in ("via_phase", "via_position", "via_cov"))
+        curves.append((promp.posterior(at, position, cov), VARIANT_COLORS["PPT"], "posterior"))
     figure = Figure(figsize=(4.2 * len(labels), 3.8), layout="constrained")
     for dof, (axes, label) in enumerate(zip(np.atleast_1d(figure.subplots(1, len(labels))), labels, strict=True)):
-        for gaussian, color, name in ((promp.prior, _GREY, "prior"), (posterior, VARIANT_COLORS["PPT"], "posterior")):
+        for gaussian, color, name in curves:
             mean, std = _marginal(promp, gaussian, phase, dof)
             axes.plot(phase, mean, color=color, lw=2, label=f"{name}, mean")
             axes.fill_between(phase, mean - 2 * std, mean + 2 * std, color=color, alpha=0.2, lw=0, label="±2 sigma")
-        error = 2 * cov[:, dof, dof].sqrt()
-        axes.errorbar(at, position[:, dof], yerr=error, fmt="o", color="black", ms=5, capsize=3, label="via-points")
+        if via is not None:
+            error = 2 * cov[:, dof, dof].sqrt()
+            axes.errorbar(at, position[:, dof], yerr=error, fmt="o", color="black", ms=5, capsize=3, label="via-points")
         axes.set_xlabel("phase [-]")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)

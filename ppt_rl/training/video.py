@@ -12,16 +12,16 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
-from ppt_rl.envs import PandaPushEnv
+from ppt_rl.envs import PandaEnv
 from ppt_rl.envs.rendering import require_rendering
 
-__all__ = ["pictures", "push_frames", "write_video"]
+__all__ = ["episode_frames", "pictures", "write_video"]
 
 Image = NDArray[np.uint8]
 
 
-def push_frames(
-    env: PandaPushEnv,
+def episode_frames(
+    env: PandaEnv,
     episodes: TensorDictBase,
     rows: Sequence[int],
     *,
@@ -29,11 +29,12 @@ def push_frames(
     cameras: Sequence[str] = ("overview", "top"),
     size: tuple[int, int] = (640, 480),
 ) -> Iterator[Image]:
-    """Frames of recorded pushing episodes, cameras side by side.
+    """Frames of recorded episodes, cameras side by side.
 
     Args:
-        env: the environment the episodes come from, not reset since: box sizes and goals are its present ones.
-        episodes: holds ``("trace", "joint_position")`` (B, T, 7) and ``("trace", "box_pose")`` (B, T, 7).
+        env: the environment the episodes come from, not reset since: boxes and goals, or mazes, are its present ones.
+        episodes: holds ``("trace", "joint_position")`` (B, T, 7) and, where there is a box, ``("trace", "box_pose")``
+            (B, T, 7).
         rows: which environments.
         every: control steps between frames.
         cameras: which.
@@ -48,21 +49,22 @@ def push_frames(
     for row in rows:
         steps = int(episodes["control_steps"][row])
         trace = episodes["trace"][row]
-        positions = torch.cat([trace["joint_position"], trace["box_pose"]], -1).double().numpy()[:steps:every]
+        parts = [trace[key] for key in ("joint_position", "box_pose") if key in trace.keys()]
+        positions = torch.cat(parts, -1).double().numpy()[:steps:every]
         views = [pictures(env, row, positions, camera=camera, size=size) for camera in cameras]
         for frames in zip(*views, strict=True):
             yield np.concatenate(frames, 1)
 
 
 def pictures(
-    env: PandaPushEnv, row: int, positions: NDArray[np.float64], *, camera: str, size: tuple[int, int] = (640, 480)
+    env: PandaEnv, row: int, positions: NDArray[np.float64], *, camera: str, size: tuple[int, int] = (640, 480)
 ) -> Iterator[Image]:
     """Pictures of one environment in given configurations.
 
     Args:
-        env: its box size and goal are the present ones of ``row``.
+        env: its box and goal, or maze, are the present ones of ``row``.
         row: which environment.
-        positions: ``(N, nq)`` joint positions, then the box's pose.
+        positions: ``(N, nq)`` joint positions, then the box's pose where there is one.
         camera: name of a camera of the scene.
         size: width and height [pixels].
 

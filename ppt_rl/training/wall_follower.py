@@ -28,7 +28,7 @@ class WallFollower:
     """
 
     def __init__(
-        self, task_space: TaskSpace, *, lead: float = 0.004, speed: float = 0.055, depth: float = 0.008
+        self, task_space: TaskSpace, *, lead: float = 0.004, speed: float = 0.055, depth: float = 0.006
     ) -> None:
         self.task_space = task_space
         self.lead = require_positive("lead", lead, "m")

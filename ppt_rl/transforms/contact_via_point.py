@@ -29,7 +29,8 @@ class ContactViaPointTransform(StatefulTransform):
     are masked. Contact has hysteresis. Append it at control rate, before a :class:`MacroStepTransform`; a
     :class:`ViaPointTransform` with a frame, appended after that, makes the posterior.
 
-    State and observations: ``contact`` ``(*B, 1)`` bool, ``via_phase`` ``(*B, M)``: time until due, as a share of the
+    State and observations: ``contact`` and, in its first step, ``contact_began`` ``(*B, 1)`` bool, ``via_phase``
+    ``(*B, M)``: time until due, as a share of the
     primitive's duration [-], ``via_position`` ``(*B, M, 3)`` world [m], ``via_cov`` ``(*B, M, 3, 3)`` world axes [m^2],
     ``via_mask`` ``(*B, M)`` bool, ``via_wait`` ``(*B, 1)`` until the next one [s].
 
@@ -65,10 +66,10 @@ class ContactViaPointTransform(StatefulTransform):
         *,
         capacity: int = 8,
         lookahead: float = 0.6,
-        speed: float = 0.08,
+        speed: float = 0.06,
         offset: float = 0.002,
         spacing: float = 0.05,
-        std: tuple[float, float, float] = (0.02, 0.003, 0.02),
+        std: tuple[float, float, float] = (0.02, 0.004, 0.02),
         on: float = 1.0,
         off: float = 0.5,
         friction: float = 0.25,
@@ -125,6 +126,7 @@ class ContactViaPointTransform(StatefulTransform):
         position, cov = self._via_point(pose, wall)
         return {
             "contact": contact,
+            "contact_began": contact & ~old["contact"],
             "via_wait": torch.where(sets, self.spacing, wait),
             "via_phase": torch.where(chosen, self.lookahead / self.duration, phase),
             "via_mask": mask | chosen,
@@ -159,13 +161,14 @@ class ContactViaPointTransform(StatefulTransform):
         return tensordict_reset
 
     def _keys(self) -> tuple[str, ...]:
-        return "contact", "via_wait", "via_phase", "via_mask", "via_position", "via_cov"
+        return "contact", "contact_began", "via_wait", "via_phase", "via_mask", "via_position", "via_cov"
 
     def _empty(self, pose: Tensor) -> dict[str, Tensor]:
         batch, size = pose.shape[:-1], self.capacity
         flag = torch.zeros(*batch, size, dtype=torch.bool, device=pose.device)
         return {
             "contact": flag[..., :1].clone(),
+            "contact_began": flag[..., :1].clone(),
             "via_wait": pose.new_zeros(*batch, 1),
             "via_phase": pose.new_zeros(*batch, size),
             "via_mask": flag,
@@ -185,6 +188,6 @@ class ContactViaPointTransform(StatefulTransform):
 
         size = self.capacity
         return {
-            "contact": flag(1), "via_wait": real(1), "via_phase": real(size), "via_mask": flag(size),
-            "via_position": real(size, 3), "via_cov": real(size, 3, 3),
+            "contact": flag(1), "contact_began": flag(1), "via_wait": real(1), "via_phase": real(size),
+            "via_mask": flag(size), "via_position": real(size, 3), "via_cov": real(size, 3, 3),
         }  # fmt: skip

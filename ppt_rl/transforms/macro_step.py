@@ -30,12 +30,16 @@ class MacroStepTransform(ActionTransform):
       (``GAE.set_keys(steps_to_next_obs=("next", "control_steps"))``) and for counting frames;
     * ``trace_keys`` are recorded at every control step under ``("trace", key)``, ``(*B, N, ...)``; zero after the end.
 
-    When every row ends before the chunk does, the environment is stepped once more and its answer discarded.
+    With ``interrupt_key``, a row where that observation is True ends its chunk early and waits, at rest in time, for
+    the others; its next policy step goes on from there. When every row ends before the chunk does, the environment is
+    stepped once more and its answer discarded; where rows may be interrupted, it is stepped with no row.
 
     Args:
         num_steps: N; None leaves it to the transform that makes the chunk.
         discount: of rewards within the chunk [-].
         trace_keys: entries under next to record.
+        interrupt_key: observation ``(*B, 1)`` bool that ends a row's chunk early, such as ``contact_began``; the
+            environment must honour a ``_step`` mask.
         action_key: the action: a chunk outside, its steps towards the environment.
 
     Raises:
@@ -49,6 +53,7 @@ class MacroStepTransform(ActionTransform):
         *,
         discount: float = 1.0,
         trace_keys: Sequence[NestedKey] = (),
+        interrupt_key: NestedKey | None = None,
         action_key: NestedKey = "action",
     ) -> None:
         super().__init__(action_key)
@@ -59,6 +64,7 @@ class MacroStepTransform(ActionTransform):
         self.num_steps = num_steps
         self.discount = float(discount)
         self.trace_keys = list(trace_keys)
+        self.interrupt_key = interrupt_key
 
     # -- the chunk ----------------------------------------------------------------------------------------------------
 
@@ -80,16 +86,16 @@ class MacroStepTransform(ActionTransform):
             following = parent._step(current)
             frozen = following if alive is None or frozen is None else _where(alive, following, frozen)
             memory.add(following, alive, self.discount)
-            done = following.get("done").reshape(tensordict.batch_size)
-            if bool(done.any()):
-                alive = ~done if alive is None else alive & ~done
+            ended = self._ended(following).reshape(tensordict.batch_size)
+            if bool(ended.any()):
+                alive = ~ended if alive is None else alive & ~ended
                 if not bool(alive.any()):
                     break
             current = _carried(current, following if alive is None else following.copy(), state_keys)
         if current is not tensordict:
             tensordict.update(current)
         tensordict.set(self.action_key, steps[-1])
-        if alive is not None and bool(alive.any()):
+        if alive is not None and (self.interrupt_key is not None or bool(alive.any())):
             tensordict.set("_step", alive)
         else:
             tensordict.pop("_step", None)
@@ -115,6 +121,11 @@ class MacroStepTransform(ActionTransform):
         for key, zero in self._zeros(self._outputs(), tensordict_reset).items():
             tensordict_reset.set(key, zero)
         return tensordict_reset
+
+    def _ended(self, following: TensorDictBase) -> Tensor:
+        """Rows whose chunk is over, ``(*B, 1)``."""
+        done = following.get("done")
+        return done if self.interrupt_key is None else done | following.get(self.interrupt_key)
 
     @staticmethod
     def _stepping(tensordict: TensorDictBase) -> Tensor | None:

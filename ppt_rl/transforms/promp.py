@@ -18,6 +18,9 @@ from ppt_rl.transforms.base import ActionTransform, replace_leaf
 
 __all__ = ["ProMPTransform"]
 
+#: What is kept of where a chunk was left.
+_LEFT = ("phase", "reference_position", "reference_velocity")
+
 
 class ProMPTransform(ActionTransform):
     r"""Turns a residual ``dw`` ``(*B, K * D)`` into the references of the next control steps, ``(*B, N, 13)``.
@@ -94,13 +97,9 @@ class ProMPTransform(ActionTransform):
         positions, velocities = self._placed(tensordict, positions, velocities)
         reference = torch.cat([self.task_space.pose(positions), self.task_space.twist(velocities)], -1)
         tensordict.set(self.action_key, reference[..., :-1, :])
-        for key, value in (
-            ("phase", phases[..., -1:]),
-            ("reference_position", positions[..., -1, :]),
-            ("reference_velocity", velocities[..., -1, :]),
-            ("weights", weights),
-        ):
-            self._stash(tensordict, key, value)
+        self._stash(tensordict, "weights", weights)
+        # Where the reference is left is known when the chunk is over: it may be interrupted.
+        self._stash(tensordict, "way", torch.cat([phases.unsqueeze(-1), positions, velocities], -1))
         return tensordict
 
     def _current(self, tensordict: TensorDictBase, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -146,7 +145,15 @@ class ProMPTransform(ActionTransform):
     # -- state --------------------------------------------------------------------------------------------------------
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        for key in ("phase", "reference_position", "reference_velocity", "weights"):
+        self._unstash(tensordict, next_tensordict, "weights")
+        way = tensordict.get("_way")  # (*B, N + 1, 1 + 2 D)
+        left = way[..., -1, :]
+        executed = next_tensordict.get("control_steps", None)
+        if executed is not None:
+            left = way.take_along_dim(executed.unsqueeze(-1).expand(*executed.shape, way.shape[-1]), -2).squeeze(-2)
+        dof = self.promp.num_dof
+        for key, value in zip(_LEFT, left.split([1, dof, dof], -1), strict=True):
+            tensordict.set(f"_{key}", value)
             self._unstash(tensordict, next_tensordict, key)
         return next_tensordict
 

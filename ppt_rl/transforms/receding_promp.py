@@ -27,8 +27,9 @@ class RecedingProMPTransform(ProMPTransform):
 
     with the end effector's position ``x``, its heading ``psi`` and the last reference ``y_0`` at the policy step:
     weights, via-points and residual are in heading axes (ahead, left, up). Of the primitive's duration the first
-    ``replan_steps`` are executed, then the next one takes over, continuous in reference and velocity. A blocked tool
-    does not let the reference run away: the primitive begins at most the lead ``l`` from the tool.
+    ``replan_steps`` are executed, or fewer where the macro step is interrupted, then the next one takes over,
+    continuous in reference and velocity. A blocked tool does not let the reference run away: the primitive begins at
+    most the lead ``l`` from the tool.
 
     State and observations as for :class:`ProMPTransform`; ``reference_position`` and ``reference_velocity`` are in
     world coordinates, ``weights`` in the tool's frame, and ``phase`` is where the last primitive was left.
@@ -59,7 +60,7 @@ class RecedingProMPTransform(ProMPTransform):
         task_space: TaskSpace,
         *,
         residual_scale: float | Sequence[float] = 0.01,
-        max_lead: Sequence[float] = (0.01, 0.002, 0.0),
+        max_lead: Sequence[float] = (0.002, 0.001, 0.0),
         replan_steps: int = 20,
         dt: float = 0.01,
         action_key: NestedKey = "action",

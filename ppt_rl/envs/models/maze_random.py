@@ -28,7 +28,7 @@ class StraightRanges:
         y: of the middle [m].
     """
 
-    length: tuple[float, float] = (0.30, 0.40)
+    length: tuple[float, float] = (0.16, 0.26)
     width: tuple[float, float] = (0.05, 0.06)
     friction: tuple[float, float] = (0.1, 0.4)
     height: tuple[float, float] = (0.0, 0.05)

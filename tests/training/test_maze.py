@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from ppt_rl.envs import MazeLayout, MazeRanges, Straight
+from ppt_rl.training import (
+    RecedingConfig,
+    StepWiseMazeConfig,
+    make_follower,
+    make_follower_env,
+    make_maze_env,
+    make_maze_promp,
+    maze_metrics,
+    run_episodes,
+)
+
+CONFIG = RecedingConfig(num_envs=2, num_threads=1, physics_dt=0.002, seed=3)
+
+
+def test_training_and_test_are_built_from_the_same_options_but_for_mazes_and_time():
+    training, test = make_maze_env(CONFIG), make_maze_env(CONFIG, ranges=MazeRanges())
+    training.reset()
+    test.reset()
+    assert training.duration == CONFIG.training_duration
+    assert test.duration == CONFIG.duration
+    assert [layout.is_straight for layout in (*training.layouts, *test.layouts)] == [True, True, False, False]
+    assert training.physics_dt == test.physics_dt == CONFIG.physics_dt
+
+
+def test_the_straight_line_is_within_the_span_of_the_basis_without_ripple():
+    promp = make_maze_promp(CONFIG)
+    phase = torch.linspace(0.0, 1.0, 201, dtype=torch.float64)
+    basis, slope, _ = promp.basis(phase)
+    weights = torch.linalg.lstsq(basis, phase.unsqueeze(-1)).solution
+    assert (slope @ weights - 1).abs().max() < 0.02
+
+
+@pytest.mark.parametrize(("phase", "stable"), [(0.25, True), (0.025, False)])
+def test_the_hand_over_dies_out_at_the_recipes_chunk_and_grows_at_a_tenth_of_it(phase: float, stable: bool):
+    promp = make_maze_promp(CONFIG).double()
+    assert CONFIG.replan_steps * CONFIG.control_dt / CONFIG.promp_duration == pytest.approx(0.25)
+
+    def rows(at: float) -> torch.Tensor:
+        value, slope, _ = promp.basis(torch.tensor([at], dtype=torch.float64))
+        return torch.cat([value, slope])
+
+    carried = rows(phase) @ torch.linalg.pinv(rows(0.0))  # offset and velocity, from one hand-over to the next
+    assert (torch.linalg.eigvals(carried).abs().max() < 0.6) == stable
+
+
+def test_the_follower_reaches_the_end_behind_the_tank_of_the_policies():
+    layout = MazeLayout((Straight(0.12),), start=(0.5, -0.06))
+    env = make_follower_env(CONFIG, make_maze_env(CONFIG, layouts=[layout], num_envs=1))
+    rows = run_episodes(env, make_follower(CONFIG), 1)
+    assert rows["success"] == [1.0]
+    assert rows["max_power"] <= CONFIG.p_max
+    expected = (0.12 - 0.035) / CONFIG.follower_speed / CONFIG.control_dt
+    assert rows["control_steps"][0] == pytest.approx(expected, rel=0.3)
+    env.close()
+
+
+def test_the_metrics_low_pass_is_an_option():
+    assert maze_metrics(replace(CONFIG, cutoff=5.0)).cutoff == 5.0
+
+
+def test_the_lead_of_a_step_wise_policy_lets_it_press_on_the_floor():
+    config = StepWiseMazeConfig()
+    assert config.lead[2] > config.depth
