@@ -97,6 +97,8 @@ class ContactViaPointTransform(StatefulTransform):
         self.friction = require_positive("friction", friction)
         self.slow = require_positive("slow", slow, "m/s")
         self.dt = require_positive("dt", dt, "s")
+        if len(std) != 3:
+            raise ValueError(f"std is {std}; expected three numbers: along the wall, across it, in height [m].")
         self.register_buffer("variance", torch.tensor([require_positive("std", value, "m") ** 2 for value in std]))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -118,7 +120,7 @@ class ContactViaPointTransform(StatefulTransform):
         contact = is_touching(old["contact"], size, on=self.on, off=self.off)
         wait = (old["via_wait"] - self.dt).clamp_min(0.0)
         phase = (old["via_phase"] - self.dt / self.duration).clamp_min(0.0)
-        mask = old["via_mask"] & (phase > 0)
+        mask = old["via_mask"] & (phase > 0.5 * self.dt / self.duration)  # due, but for the rounding of a sum
         sets = contact & (wait < 0.5 * self.dt)  # (*B, 1)
         # The slot that is due first, an empty one before all others.
         slot = torch.where(mask, phase, -torch.ones_like(phase)).argmin(-1, keepdim=True)

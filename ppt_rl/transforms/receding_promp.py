@@ -28,8 +28,9 @@ class RecedingProMPTransform(ProMPTransform):
     with the end effector's position ``x``, its heading ``psi`` and the last reference ``y_0`` at the policy step:
     weights, via-points and residual are in heading axes (ahead, left, up). Of the primitive's duration the first
     ``replan_steps`` are executed, or fewer where the macro step is interrupted, then the next one takes over,
-    continuous in reference and velocity. A blocked tool does not let the reference run away: the primitive begins at
-    most the lead ``l`` from the tool.
+    continuous in reference and velocity. A blocked tool does not let the reference run away: the frame's
+    origin is at most the lead ``l`` from the tool, and the primitive leads from the old reference to where it would be
+    from there.
 
     State and observations as for :class:`ProMPTransform`; ``reference_position`` and ``reference_velocity`` are in
     world coordinates, ``weights`` in the tool's frame, and ``phase`` is where the last primitive was left.

@@ -73,20 +73,28 @@ class ViaPointTransform(Transform):
         velocity = [next_tensordict.get(key, None) for key in self._velocity_keys]
         mask = next_tensordict.get(self._position_keys[3], None)
         if self.frame is not None:
-            position, cov = self._in_frame(next_tensordict, position, cov)
+            origin, heading = self._frame(next_tensordict)
+            position, cov = _in_frame(position - origin, cov, heading)
+            if velocity[0] is not None and velocity[1] is not None:
+                velocity[:2] = _in_frame(velocity[0], velocity[1], heading)
         posterior = self.promp.posterior(phase, position, cov, mask, *velocity)
         next_tensordict.set(self._mean_key, unvec(posterior.mean, self.promp.num_basis).to(position.dtype))
         if self.write_cov:
             next_tensordict.set(self._cov_key, posterior.cov.to(position.dtype))
         return next_tensordict
 
-    def _in_frame(self, tensordict: TensorDictBase, position: Tensor, cov: Tensor) -> tuple[Tensor, Tensor]:
-        """Via-points ``(*B, M, 3)`` and covariances in heading axes from the end effector."""
-        pose, heading = (tensordict.get(key) for key in self.frame or ())
-        heading = heading.unsqueeze(-2)
-        position = to_heading(position - pose[..., None, :3], heading)
-        once = to_heading(cov, heading.unsqueeze(-2))  # the rows of a symmetric matrix, then its columns
-        return position, to_heading(once.mT, heading.unsqueeze(-2))
+    def _frame(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Position ``(*B, 1, 3)`` and heading ``(*B, 1, 1)`` of the frame that via-points are turned to."""
+        keys = self.frame or ()
+        values = [tensordict.get(key, None) for key in keys]
+        missing = [key for key, value in zip(keys, values, strict=True) if value is None]
+        if missing:
+            raise KeyError(
+                f"ViaPointTransform needs {missing} for its frame; the tensordict holds "
+                f"{sorted(str(k) for k in tensordict.keys(True, True))}."
+            )
+        pose, heading = values
+        return pose[..., None, :3], heading.unsqueeze(-2)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return self._call(tensordict_reset)
@@ -103,3 +111,9 @@ class ViaPointTransform(Transform):
         for key in self.out_keys:
             observation_spec[key] = Unbounded(shape=(*batch, *shapes[key]), dtype=like.dtype, device=like.device)
         return observation_spec
+
+
+def _in_frame(vector: Tensor, cov: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
+    """Vectors ``(*B, M, 3)`` and their covariances in heading axes."""
+    once = to_heading(cov, heading.unsqueeze(-2))  # the rows of a symmetric matrix, then its columns
+    return to_heading(vector, heading), to_heading(once.mT, heading.unsqueeze(-2))

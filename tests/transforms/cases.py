@@ -11,18 +11,21 @@ from tensordict import TensorDict
 from tensordict.utils import NestedKey
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
-from ppt_rl.envs import PandaPushEnv
+from ppt_rl.envs import PandaMazeEnv, PandaPushEnv
 from ppt_rl.functional import MetricsConfig
 from ppt_rl.modules import CartesianImpedanceController, PandaKinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
+    ContactViaPointTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
+    HeadingFrameTransform,
     ImpedanceTransform,
     JointTorqueTransform,
     MacroStepTransform,
     PowerLimitTransform,
     ProMPTransform,
+    RecedingProMPTransform,
     ViaPointTransform,
 )
 from tests.transforms.mocks import MockArmEnv
@@ -60,6 +63,7 @@ class Case:
         forward: keys that it adds to stored data.
         nested: arguments for a nested action, and for nested observations where the transform takes their keys.
         prefix: nest of the observations in the nested case.
+        base: arguments for the mock environment.
     """
 
     make: Callable[..., Transform]
@@ -70,6 +74,7 @@ class Case:
     forward: tuple[NestedKey, ...] = ()
     nested: dict[str, Any] = field(default_factory=dict)
     prefix: tuple[str, ...] = ("agent",)
+    base: dict[str, Any] = field(default_factory=dict)
 
 
 _ACTION = {"action_key": ("agent", "action")}
@@ -81,6 +86,23 @@ CASES: dict[str, Case] = {
         outer=(3,),
         state=("reference_position",),
         nested={**_ACTION, "pose_key": ("agent", "pose")},
+    ),
+    "ContactViaPointTransform": Case(
+        lambda **kwargs: ContactViaPointTransform(
+            0.1,
+            **{
+                "capacity": 3,
+                "lookahead": 0.05,
+                "spacing": 0.02,
+                "wrench_key": "wrench",
+                "heading_key": "start_heading",
+                **kwargs,
+            },
+        ),
+        state=("contact", "contact_began", "via_wait", "via_phase", "via_mask", "via_position", "via_cov"),
+        nested={f"{key}_key": ("agent", key) for key in ("pose", "twist", "wrench")}
+        | {"heading_key": ("agent", "start_heading")},
+        base={"via_points": False},
     ),
     "EnergyTankTransform": Case(
         lambda **kwargs: EnergyTankTransform(p_max=1.0, e_max=0.02, **kwargs),
@@ -103,6 +125,16 @@ CASES: dict[str, Case] = {
             )
         ),
         nested={"twist_key": ("agent", "twist"), "wrench_key": ("agent", "wrench")},
+    ),
+    "HeadingFrameTransform": Case(
+        HeadingFrameTransform,
+        state=("heading", "smooth_wrench"),
+        written=("heading_twist", "heading_wrench"),
+        nested={
+            "twist_key": ("agent", "twist"),
+            "wrench_key": ("agent", "wrench"),
+            "start_key": ("agent", "start_heading"),
+        },
     ),
     "ImpedanceTransform": Case(
         lambda **kwargs: ImpedanceTransform(CartesianImpedanceController(), **kwargs),
@@ -135,6 +167,17 @@ CASES: dict[str, Case] = {
         state=("phase", "reference_position", "reference_velocity", "weights"),
         nested={**_ACTION, "pose_key": ("agent", "pose")},
     ),
+    "RecedingProMPTransform": Case(
+        lambda **kwargs: RecedingProMPTransform(
+            make_promp(),
+            TaskSpace(("x", "y", "z"), ORIGIN),
+            **{"replan_steps": 5, "heading_key": "start_heading", **kwargs},
+        ),
+        inner=(5, 13),
+        outer=(12,),
+        state=("phase", "reference_position", "reference_velocity", "weights"),
+        nested={**_ACTION, "pose_key": ("agent", "pose"), "heading_key": ("agent", "start_heading")},
+    ),
     "ViaPointTransform": Case(
         lambda **kwargs: ViaPointTransform(make_promp(), write_cov=True, **kwargs),
         written=("weights_mean", "weights_cov"),
@@ -146,7 +189,8 @@ CASES: dict[str, Case] = {
 
 def make_base(name: str, batch: tuple[int, ...] = (), **kwargs: Any) -> MockArmEnv:
     """The mock environment that a case's transform goes on."""
-    return MockArmEnv(batch, action_shape=CASES[name].inner, **{"horizons": (6, 4), **kwargs})
+    case = CASES[name]
+    return MockArmEnv(batch, action_shape=case.inner, **{"horizons": (6, 4), **case.base, **kwargs})
 
 
 def make_env(name: str, batch: tuple[int, ...] = (), **kwargs: Any) -> TransformedEnv:
@@ -175,6 +219,19 @@ def push_env(num_envs: int = 2, *transforms: Transform, duration: float = 0.1, s
     """The pushing task on one thread, with transforms."""
     base = PandaPushEnv(num_envs, duration=duration, num_threads=1, seed=seed, **kwargs)
     return TransformedEnv(base, Compose(*transforms)) if transforms else base
+
+
+def sliding_env(base: PandaMazeEnv) -> TransformedEnv:
+    """A maze in which references drive the tool and its heading is kept."""
+    kinematics, controller = PandaKinematics(base.tool_length), CartesianImpedanceController(stiffness=250.0)
+    return TransformedEnv(
+        base,
+        Compose(
+            JointTorqueTransform(kinematics, posture_stiffness=2.0),
+            ImpedanceTransform(controller),
+            HeadingFrameTransform(),
+        ),
+    )
 
 
 def control_chain() -> list[Transform]:

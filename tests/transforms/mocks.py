@@ -30,6 +30,7 @@ class MockArmEnv(EnvBase):
             horizon only, not after it.
         dtype: of everything.
         reward_terms: whether rewards are split into terms.
+        via_points: whether there are via-points.
     """
 
     def __init__(
@@ -43,8 +44,10 @@ class MockArmEnv(EnvBase):
         honours_step: bool = True,
         dtype: torch.dtype = torch.float32,
         reward_terms: bool = True,
+        via_points: bool = True,
     ) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size(batch_size))
+        self.via_points = via_points
         self.dtype, self.prefix, self.honours_step, self.reward_terms = dtype, prefix, honours_step, reward_terms
         self.action_name = action_key
         rows = self.batch_size.numel()
@@ -81,7 +84,6 @@ class MockArmEnv(EnvBase):
 
         yaw = wave(1, 0.1)
         pose = torch.cat([0.4 + wave(3, 0.05), torch.zeros_like(yaw), (yaw / 2).cos(), (yaw / 2).sin(), 0 * yaw], -1)
-        via_mask = torch.ones(*self.batch_size, 2, dtype=torch.bool)
         td = TensorDict(
             {
                 "count": count,
@@ -93,15 +95,16 @@ class MockArmEnv(EnvBase):
                 self._named("pose"): pose,
                 self._named("twist"): wave(6),
                 self._named("wrench"): wave(6, 5.0),
-                self._named("via_phase"): torch.tensor((0.25, 1.0), dtype=self.dtype)
-                .expand(*self.batch_size, 2)
-                .clone(),
-                self._named("via_position"): wave(6, 0.1).unflatten(-1, (2, 3)),
-                self._named("via_cov"): 1e-4 * torch.eye(3, dtype=self.dtype).expand(*self.batch_size, 2, 3, 3),
-                self._named("via_mask"): via_mask,
+                self._named("start_heading"): wave(1),
             },
             self.batch_size,
         )
+        if self.via_points:
+            phase, cov = torch.tensor((0.25, 1.0), dtype=self.dtype), 1e-4 * torch.eye(3, dtype=self.dtype)
+            td[self._named("via_phase")] = phase.expand(*self.batch_size, 2).clone()
+            td[self._named("via_position")] = wave(6, 0.1).unflatten(-1, (2, 3))
+            td[self._named("via_cov")] = cov.expand(*self.batch_size, 2, 3, 3).clone()
+            td[self._named("via_mask")] = torch.ones(*self.batch_size, 2, dtype=torch.bool)
         if self.prefix:
             td["twist"] = wave(6)
         if self.reward_terms:
@@ -214,6 +217,49 @@ class ScriptedEnv(EnvBase):
         count = (tensordict.get("count") + 1).clamp_max(self.last)
         following = self._observe(count, tensordict.get("action").clone())
         return following.set("reward", torch.ones(*self.batch_size, 1, dtype=self.dtype))
+
+    def _set_seed(self, seed: int | None) -> None:
+        pass
+
+
+class TowedEnv(EnvBase):
+    """A tool on a heading that never turns, towed by chunks of references; its whole state is in the tensordict.
+
+    ``executed`` is the chunk as it arrived. The orientation of the tool stays as it is.
+
+    Args:
+        pose: ``(B, 7)`` at the start.
+        heading: ``(B, 1)``.
+        steps: references in a chunk.
+        share: of the way to the last reference that the tool makes; 0 is a tool that is blocked.
+    """
+
+    def __init__(self, pose: Tensor, heading: Tensor, *, steps: int, share: float) -> None:
+        super().__init__(device=torch.device("cpu"), batch_size=pose.shape[:1])
+        self.pose, self.heading, self.share, self.dtype = pose, heading, share, pose.dtype
+
+        def real(*shape: int) -> Unbounded:
+            return Unbounded(shape=(*self.batch_size, *shape), dtype=pose.dtype)
+
+        self.observation_spec = Composite(
+            pose=real(7), heading=real(1), executed=real(steps, 13), shape=self.batch_size
+        )
+        self.action_spec = real(steps, 13)
+        self.reward_spec = real(1)
+
+    def _observe(self, pose: Tensor, heading: Tensor, executed: Tensor) -> TensorDict:
+        done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        flags = {"done": done, "terminated": done.clone()}
+        return TensorDict({"pose": pose, "heading": heading, "executed": executed, **flags}, self.batch_size)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        return self._observe(self.pose.clone(), self.heading.clone(), self.full_action_spec["action"].zero())
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        pose, chunk = tensordict.get("pose").clone(), tensordict.get("action").clone()
+        pose[:, :3] += self.share * (chunk[:, -1, :3] - pose[:, :3])
+        following = self._observe(pose, tensordict.get("heading").clone(), chunk)
+        return following.set("reward", torch.zeros(*self.batch_size, 1, dtype=self.dtype))
 
     def _set_seed(self, seed: int | None) -> None:
         pass

@@ -20,6 +20,8 @@ from tests.transforms.cases import CASES, make_base, make_chain_env, make_env, m
 from tests.transforms.mocks import actions_for, play
 
 every_transform = pytest.mark.parametrize("name", sorted(CASES))
+#: Those that only look at what follows a step.
+OBSERVING = ("ContactViaPointTransform", "EpisodeMetricsTransform", "HeadingFrameTransform")
 every_batch = pytest.mark.parametrize("batch", [(), (2,), (2, 1)], ids=str)
 
 # Workers fork from a server that has imported the library once, instead of importing it again each.
@@ -367,9 +369,7 @@ def test_a_replay_buffer_stores_the_inverse_and_samples_the_forward(name):
 # -- errors ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name", sorted(set(CASES) - {"EpisodeMetricsTransform", "PowerLimitTransform", "ViaPointTransform"})
-)
+@pytest.mark.parametrize("name", sorted(set(CASES) - {*OBSERVING, "PowerLimitTransform", "ViaPointTransform"}))
 def test_a_missing_action_is_a_key_error_that_names_the_transform(name):
     env: EnvBase = make_env(name, (2,))
     with pytest.raises(KeyError, match=rf"{name} needs .*action"):
@@ -383,7 +383,7 @@ def test_a_tensordict_without_observations_is_a_key_error_that_names_the_transfo
     if name == "MacroStepTransform":
         with pytest.raises(KeyError, match="no observation"):
             TransformedEnv(make_base(name), CASES[name].make(trace_keys=["absent"])).reset()
-    elif name == "EpisodeMetricsTransform":
+    elif name in OBSERVING:
         with pytest.raises(KeyError, match=name):
             transform._step(empty, empty)
     elif name in ("PowerLimitTransform", "ViaPointTransform"):
