@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,8 @@ _KNOWN = ("heading_twist", "heading_wrench")
 MAZE_PRIVILEGED = ("corridor_offset", "corridor_heading")
 #: How far the basis reaches beyond phase 0 and 1, so that a straight line has no ripple there, and its overlap.
 _MARGIN, _OVERLAP = 0.25, 0.7
+#: How long a demonstration is driven, in durations of the primitive.
+_DRIVE = 6
 
 
 @dataclass(frozen=True)
@@ -269,9 +271,11 @@ def fit_maze_prior(promp: ProMP, config: MazeConfig, *, num_corridors: int = 64,
     Returns:
         The primitive.
     """
-    env = make_follower_env(config, make_maze_env(config, num_envs=num_corridors, seed=seed))
+    seconds = max(config.training_duration, _DRIVE * promp.duration)
+    base = make_maze_env(replace(config, training_duration=seconds), num_envs=num_corridors, seed=seed)
+    env = make_follower_env(config, base)
     steps = round(promp.duration / config.control_dt)
-    position, heading, alive = _driven(env, make_follower(config), 6 * steps)
+    position, heading, alive = _driven(env, make_follower(config), _DRIVE * steps)
     env.close()
     demonstrations = []
     for begin in range(0, len(position) - steps, steps // 4):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +39,13 @@ def tiny(place: Path, **changes: Any) -> study.Config:
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> study.Config:
-    """A study of a few frames of both variants."""
+    """A study of a few frames of both variants, its prior fitted to few demonstrations."""
     config = tiny(tmp_path_factory.mktemp("maze"))
-    study.main(config)
+    few = partial(fit_maze_prior, num_corridors=6)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ppo_ppt_maze.fit_maze_prior", few)
+        patch.setattr("study_maze.fit_maze_prior", few)
+        study.main(config)
     return config
 
 

@@ -134,8 +134,9 @@ def chain(env: EnvBase) -> list[str]:
 
 def test_the_registry_knows_every_pushing_recipe_by_its_own_name(root):
     files = {path.stem for path in (root / "recipes").glob("ppo_*_push.py")}
-    assert set(RECIPES.values()) == files
-    assert {name: recipe_of(name).VARIANT for name in RECIPES} == {name: name for name in CHAINS}
+    names = {name for name in RECIPES if name.endswith("_push")}
+    assert {RECIPES[name] for name in names} == files
+    assert {name: recipe_of(name).VARIANT for name in names} == {name: name for name in CHAINS}
 
 
 @variants
