@@ -201,23 +201,41 @@ def record_episodes(env: EnvBase, policy: Any, keys: Sequence[NestedKey]) -> Ten
         keys: entries to record.
 
     Returns:
-        The last ``next`` of the episode, ``("trace", key)`` ``(B, T, ...)``, and ``control_steps``, their number.
+        The ``next`` that ended each episode, ``("trace", key)`` ``(B, T, ...)``, and ``control_steps``, how many of
+        the T are of the episode.
     """
     macro = next((part for part in env.transform if isinstance(part, MacroStepTransform)), None)
     if macro is not None:
         macro.trace_keys = list(keys)
         env.empty_cache()
     chunks: list[TensorDictBase] = []
+    last: TensorDictBase | None = None
+    over = torch.zeros(env.batch_size, dtype=torch.bool)
+    steps = torch.zeros(*env.batch_size, 1, dtype=torch.int64)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         tensordict = env.reset()
-        while not chunks or not bool(chunks[-1]["done"].all()):
+        while last is None or not bool(over.all()):
             tensordict = env.step(policy(tensordict))
-            chunks.append(tensordict["next"])
+            following = tensordict["next"]
+            chunks.append(following)
+            last = following if last is None else following.where(~over, last)
+            executed = following.get("control_steps", None)
+            steps += (1 if executed is None else executed.cpu()) * ~over.unsqueeze(-1)
+            over |= following["done"].reshape(env.batch_size).cpu()
             tensordict = env.step_mdp(tensordict)
-    episode = chunks[-1].clone(recurse=False)
+    episode = last.clone(recurse=False).set("control_steps", steps)
     if macro is None:
-        trace = {key: torch.stack([chunk[key] for chunk in chunks], 1) for key in keys}
-        return episode.set("trace", trace).set("control_steps", torch.full((*env.batch_size, 1), len(chunks)))
+        return episode.set("trace", {key: torch.stack([chunk[key] for chunk in chunks], 1) for key in keys})
     for key in chunks[0]["trace"].keys(True, True):
-        episode.set(("trace", key), torch.cat([chunk["trace", key] for chunk in chunks], 1))
-    return episode.set("control_steps", torch.stack([chunk["control_steps"] for chunk in chunks]).sum(0))
+        episode.set(("trace", key), _joined(chunks, key))
+    return episode
+
+
+def _joined(chunks: Sequence[TensorDictBase], key: NestedKey) -> torch.Tensor:
+    """Traces of chunks one after the other, ``(B, T, ...)``; what a row did not execute of a chunk is left out."""
+    parts = [chunk["trace", key] for chunk in chunks]
+    executed = [chunk["control_steps"].squeeze(-1) for chunk in chunks]
+    full = torch.cat(parts, 1)
+    there = torch.cat([torch.arange(p.shape[1]) < n.unsqueeze(-1) for p, n in zip(parts, executed, strict=True)], 1)
+    order = (~there).to(torch.int8).argsort(stable=True, dim=1)  # executed steps first, in their order
+    return full[torch.arange(len(full)).unsqueeze(-1), order]

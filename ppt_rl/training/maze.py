@@ -135,7 +135,7 @@ class StepWiseMazeConfig(MazeConfig):
     max_velocity: float = 0.12
     max_rise: float = 0.03
     max_lead: float = 0.02
-    initial_scale: float = 0.25
+    initial_scale: float = 0.1
     batch_steps: int = 64
 
     @property

@@ -17,9 +17,11 @@ Array = NDArray[np.float64]
 
 #: Walls stand this high above the highest floor beside them [m].
 WALL_HEIGHT = 0.05
-#: Distance from the base's axis within which a centre line is reached with the tool upright [m].
+#: Distance from the base's axis within which a centre line has its corners, reached with the tool upright [m].
 REACH = (0.30, 0.70)
-#: Level ends of a straight with a ramp, so that no floor of a corner stands out over a ramp downwards [m].
+#: How near a straight between two corners may come [m].
+_NEAREST = 0.24
+#: Level ends of a straight with a ramp, at least: no floor of a corner may stand out over a ramp downwards [m].
 _LEVEL = 0.035
 #: The steepest ramp [rad].
 _STEEPEST = math.radians(25.0)
@@ -169,12 +171,24 @@ def _straight(point: Array, heading: float, segment: Straight, half: float, over
     half_width = half + _UNDER_WALL
     if segment.rise == 0:
         return [Floor(point, end, half_width, *over)]
-    foot, crest = point + _LEVEL * way, end - _LEVEL * way
+    level = max(_LEVEL, *(_corner_reach(half_width, size) for size in over))
+    if segment.length < 2 * level + 0.005:
+        raise ValueError(
+            f"{segment} has no room for its ramp between level ends of {level:.3f} m; expected a length of at least "
+            f"{2 * level + 0.005:.3f} m."
+        )
+    foot, crest = point + level * way, end - level * way
     return [
         Floor(point, foot, half_width, over[0], 0.0),
         Floor(foot, crest, half_width),
         Floor(crest, end, half_width, 0.0, over[1]),
     ]
+
+
+def _corner_reach(half_width: float, over: float) -> float:
+    """How far into a straight the floor of the one before it reaches, which goes on by ``over`` under the corner."""
+    half = 0.5 * min(2 * math.atan2(over, half_width), math.pi)  # of the turn
+    return over * math.cos(2 * half) + half_width * math.sin(2 * half) if over < half_width else _LEVEL
 
 
 def _through_disc(
@@ -211,10 +225,11 @@ def check_corridor(corridor: Corridor, layout: MazeLayout) -> None:
             is too short for its corners, or a ramp is too steep.
     """
     radius = np.linalg.norm(corridor.centre[:, :2], axis=1)
-    if radius.min() < REACH[0] or radius.max() > REACH[1] or corridor.centre[:, 0].min() < 0.15:
+    between = np.linalg.norm(_samples(corridor.centre[:, :2])[0], axis=1).min()
+    if radius.min() < REACH[0] or radius.max() > REACH[1] or between < _NEAREST or corridor.centre[:, 0].min() < 0.15:
         raise ValueError(
-            f"the maze lies {radius.min():.2f} to {radius.max():.2f} m from the base; expected {REACH[0]} to "
-            f"{REACH[1]} m, in front of it (x above 0.15 m). Move its start, or make it shorter."
+            f"the maze lies {min(radius.min(), between):.2f} to {radius.max():.2f} m from the base; expected "
+            f"{REACH[0]} to {REACH[1]} m, in front of it (x above 0.15 m). Move its start, or make it shorter."
         )
     if corridor.centre[:, 2].min() < 0.0:
         raise ValueError(f"the floor goes down to {corridor.centre[:, 2].min():.3f} m, into the table; raise height.")

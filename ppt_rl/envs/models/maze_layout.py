@@ -100,6 +100,9 @@ class MazeLayout:
         _require_range("heading", self.heading, -2 * math.pi, 2 * math.pi, "rad")
         if len(self.start) != 2:
             raise ValueError(f"start is {self.start}; expected x and y [m].")
+        for value in self.start:
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise ValueError(f"start is {self.start}; expected two finite numbers, x and y [m].")
         strange = [part for part in self.segments if not isinstance(part, tuple(_KINDS.values()))]
         if strange or not self.segments:
             raise ValueError(f"segments hold {strange or 'nothing'}; expected Straight, Turn and Disc.")
@@ -184,7 +187,7 @@ def paper_layout() -> MazeLayout:
 
 def _segment(part: Any) -> Segment:
     kind = part.get("kind") if isinstance(part, Mapping) else None
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         raise ValueError(f"segment {part} has kind {kind!r}; expected one of {sorted(_KINDS)}.")
     return _built(_KINDS[kind], {name: value for name, value in part.items() if name != "kind"})
 

@@ -45,7 +45,7 @@ class MazeRanges:
     """Ranges of the mazes of the test, drawn from uniformly (paper, section "Maze Sliding").
 
     Attributes:
-        length: of the centre line [m].
+        length: of all segments together, a disc with its diameter [m].
         width: [m].
         friction: of walls and floor on the tool [-].
         turn: size of a turn, to either side [rad].
