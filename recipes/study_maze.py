@@ -41,6 +41,8 @@ BASELINES = ("reference alone", "wall follower")
 _BOXES = {"jerk_rms": "jerk RMS [m/s³]", "wrench_p95": "P95 force [N]", "seconds": "time [s]"}
 #: A second low-pass, for the metric of jerk alone [Hz]: the paper names none, and jerk hangs on it.
 _SLOW_CUTOFF, _SLOW_MAZES = 5.0, 32
+#: Mazes that are driven through together.
+_TOGETHER = 100
 
 
 def save_maze_run(run: Run, policy: Policy, *, episodes: int, seed: int, num_threads: int) -> None:
@@ -54,7 +56,9 @@ def save_maze_run(run: Run, policy: Policy, *, episodes: int, seed: int, num_thr
         num_threads: physics threads; 0 takes one per CPU.
     """
     baseline = run.seed == 0 and bool(policy.modules)
-    setup = Config(run.run_dir, mazes=episodes, seed=seed, num_threads=num_threads, baseline=baseline)
+    setup = Config(
+        run.run_dir, mazes=episodes, seed=seed, num_threads=num_threads, baseline=baseline, num_envs=_TOGETHER
+    )
     results = evaluate(policy, setup)
     slow = Config(
         run.run_dir, mazes=min(episodes, _SLOW_MAZES), seed=seed, num_threads=num_threads, baseline=baseline,

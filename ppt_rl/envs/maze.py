@@ -21,6 +21,7 @@ from ppt_rl.envs.models import (
     StraightRanges,
     build_corridor,
     check_corridor,
+    check_pieces,
     maze_scene,
     random_maze,
     random_straight,
@@ -37,6 +38,8 @@ _GROUPS = ("progress", "free_space", "contact", "power")
 _TRAINING_HEADING = (-0.9, 0.9)
 #: A tool whose end is this high above the floor is out of the corridor [m].
 _LIFTED = 0.8 * WALL_HEIGHT
+#: Length of a first straight with room for the tool before the turn [m].
+_FIRST = 0.055
 #: Streams of randomness: a seed draws other corridors in training than mazes in the test.
 _STRAIGHT_STREAM, _MAZE_STREAM = 0, 1
 
@@ -178,7 +181,13 @@ class PandaMazeEnv(PandaEnv):
         if not layouts:
             raise ValueError("layouts are empty; expected at least one MazeLayout.")
         for layout in layouts:
-            check_corridor(build_corridor(layout), layout)
+            corridor = build_corridor(layout)
+            check_corridor(corridor, layout)
+            check_pieces(corridor)
+            if layout.segments[0].length < _FIRST:
+                raise ValueError(
+                    f"the first segment is {layout.segments[0]}; expected at least {_FIRST} m to start in."
+                )
         position = iter(range(2**62))
         return cls(
             len(layouts) if num_envs is None else num_envs, lambda _: layouts[next(position) % len(layouts)], **kwargs
@@ -219,7 +228,10 @@ class PandaMazeEnv(PandaEnv):
         along, across = self._rng.uniform(*ranges.along), room * self._rng.uniform(*ranges.across)
         way = np.asarray([np.cos(layout.heading), np.sin(layout.heading)])
         place = corridor.centre[0, :2] + along * way + across * np.asarray([-way[1], way[0]])
-        return np.concatenate([place, [layout.height + 5e-4], self.start_pose[3:]])
+        at = np.linalg.norm(corridor.centre[:, :2] - corridor.centre[0, :2], axis=1)  # of the first straight's corners
+        reach = along + self.tool.stem_radius * np.linspace(-1.0, 1.0, 9)
+        floor = np.interp(reach, at[:4], corridor.centre[:4, 2]).max()  # a first ramp may begin under the tool
+        return np.concatenate([place, [floor + 5e-4], self.start_pose[3:]])
 
     def _write_parameters(self, model: Any, row: int) -> None:
         corridor = self._episode.corridors[row]

@@ -11,7 +11,7 @@ from ppt_rl.envs.models.maze_geometry import Array, Corridor, Face, Floor
 from ppt_rl.envs.models.panda import CYLINDER, Tool
 from ppt_rl.envs.models.push_scene import table_scene
 
-__all__ = ["MAX_FACES", "MAX_FLOORS", "maze_scene", "write_corridor"]
+__all__ = ["MAX_FACES", "MAX_FLOORS", "check_pieces", "maze_scene", "write_corridor"]
 
 #: Pieces in every compiled maze, used or not: so mazes differ in numbers only, and nothing is compiled anew.
 MAX_FACES, MAX_FLOORS = 48, 28
@@ -52,6 +52,20 @@ def maze_scene(tool: Tool = CYLINDER, *, physics_dt: float = 0.0005) -> Any:
     return root
 
 
+def check_pieces(corridor: Corridor) -> None:
+    """Refuse a maze that has more pieces than the compiled scene.
+
+    Args:
+        corridor: the maze.
+
+    Raises:
+        ValueError: if it has more walls or floors.
+    """
+    for kind, pieces, room in (("wall", corridor.faces, MAX_FACES), ("floor", corridor.floors, MAX_FLOORS)):
+        if len(pieces) > room:
+            raise ValueError(f"the maze has {len(pieces)} pieces of {kind}; expected at most {room}. Shorten it.")
+
+
 def write_corridor(model: Any, corridor: Corridor, friction: float) -> None:
     """Write a maze into a compiled model of :func:`maze_scene`.
 
@@ -63,10 +77,9 @@ def write_corridor(model: Any, corridor: Corridor, friction: float) -> None:
     Raises:
         ValueError: if the maze has more pieces than the model.
     """
+    check_pieces(corridor)
     pieces = {"wall": [_wall(face) for face in corridor.faces], "floor": [_slab(floor) for floor in corridor.floors]}
     for kind, room in (("wall", MAX_FACES), ("floor", MAX_FLOORS)):
-        if len(pieces[kind]) > room:
-            raise ValueError(f"the maze has {len(pieces[kind])} pieces of {kind}; expected at most {room}. Shorten it.")
         first = model.geom(f"{kind}0").id
         for index in range(room):
             used = index < len(pieces[kind])
