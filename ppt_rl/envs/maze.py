@@ -184,10 +184,9 @@ class PandaMazeEnv(PandaEnv):
             corridor = build_corridor(layout)
             check_corridor(corridor, layout)
             check_pieces(corridor)
-            if layout.segments[0].length < _FIRST:
-                raise ValueError(
-                    f"the first segment is {layout.segments[0]}; expected at least {_FIRST} m to start in."
-                )
+            first = layout.segments[0]
+            if isinstance(first, Straight) and first.length < _FIRST:
+                raise ValueError(f"the first segment is {first}; expected at least {_FIRST} m, to start in.")
         position = iter(range(2**62))
         return cls(
             len(layouts) if num_envs is None else num_envs, lambda _: layouts[next(position) % len(layouts)], **kwargs
