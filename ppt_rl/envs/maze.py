@@ -18,6 +18,7 @@ from ppt_rl.envs.models import (
     Corridor,
     MazeLayout,
     MazeRanges,
+    Straight,
     StraightRanges,
     build_corridor,
     check_corridor,
