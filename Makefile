@@ -21,7 +21,7 @@ study: $(VENV)/.installed
 
 # Run the tests.
 test: $(VENV)/.installed
-	$(PY) -m pytest
+	$(PY) -m pytest -n auto --dist loadfile
 
 # Format, lint, types.
 check: $(VENV)/.installed

@@ -14,6 +14,7 @@ from ppt_rl.training import (
     make_maze_env,
     make_maze_promp,
     maze_metrics,
+    record_episodes,
     run_episodes,
 )
 
@@ -59,6 +60,18 @@ def test_the_follower_reaches_the_end_behind_the_tank_of_the_policies():
     assert rows["max_power"] <= CONFIG.p_max
     expected = (0.12 - 0.035) / CONFIG.follower_speed / CONFIG.control_dt
     assert rows["control_steps"][0] == pytest.approx(expected, rel=0.3)
+    env.close()
+
+
+def test_recorded_episodes_end_row_by_row_and_keep_what_ended_them():
+    layouts = [MazeLayout((Straight(length),), start=(0.5, -0.06)) for length in (0.14, 0.09)]
+    env = make_follower_env(CONFIG, make_maze_env(CONFIG, layouts=layouts))
+    episodes = record_episodes(env, make_follower(CONFIG), ("pose",))
+    long, short = episodes["control_steps"].squeeze(-1).tolist()
+    assert short < long == episodes["trace", "pose"].shape[1]
+    assert episodes["success"].all()
+    ends = [episodes["trace", "pose"][row, steps - 1, 1] for row, steps in enumerate((long, short))]
+    torch.testing.assert_close(torch.stack(ends), episodes["pose"][:, 1])
     env.close()
 
 
