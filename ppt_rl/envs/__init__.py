@@ -1,7 +1,7 @@
 """Simulated Panda environments."""
 
-from ppt_rl.envs.maze import MazeRewards, PandaMazeEnv
-from ppt_rl.envs.maze_episode import MazeRandomisation
+from ppt_rl.envs.maze import PandaMazeEnv
+from ppt_rl.envs.maze_episode import MazeRandomisation, MazeRewards
 from ppt_rl.envs.models import (
     Disc,
     MazeLayout,

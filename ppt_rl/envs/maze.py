@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import torch
 from torch import Tensor
 from torchrl.data import Composite
 
-from ppt_rl.envs.maze_episode import MazeEpisodes, MazePlace, MazeRandomisation
+from ppt_rl.envs.maze_episode import MazeEpisodes, MazePlace, MazeRandomisation, MazeRewards
 from ppt_rl.envs.models import (
     CYLINDER,
     WALL_HEIGHT,
@@ -31,7 +30,7 @@ from ppt_rl.envs.models import (
 from ppt_rl.envs.panda import PandaEnv, Rows
 from ppt_rl.envs.specs import SpecMaker
 
-__all__ = ["MazeRewards", "PandaMazeEnv"]
+__all__ = ["PandaMazeEnv"]
 
 #: Names of the four reward groups (paper, section "Problem Statement").
 _GROUPS = ("progress", "free_space", "contact", "power")
@@ -45,34 +44,6 @@ _FIRST = 0.055
 _STRAIGHT_STREAM, _MAZE_STREAM = 0, 1
 
 Source = Callable[[np.random.Generator], MazeLayout]
-
-
-@dataclass(frozen=True)
-class MazeRewards:
-    """Weights of the four reward groups; each group is its own entry under ``reward_terms``.
-
-    Attributes:
-        progress: of the way along the centre line, whole way = 1 [1].
-        success: where the end is reached [1].
-        free_space: penalty rate on speed other than ``cruise``, with the square of the relative difference: a straight
-            corridor alone does not teach that the next turn may be near [1/s].
-        cruise: speed to go at [m/s].
-        contact: penalty rate at a force of ``force_scale`` on the map, and with its square [1/s].
-        force_scale: [N].
-        jolt: penalty rate at an acceleration of 1 m/s^2, and with its square [1/s].
-        failure: penalty where the tool leaves the corridor or the force is unsafe [1].
-        power: penalty on measured work, in or out [1/J].
-    """
-
-    progress: float = 3.0
-    success: float = 1.0
-    free_space: float = 2.0
-    cruise: float = 0.06
-    contact: float = 3.0
-    force_scale: float = 4.0
-    jolt: float = 5.0
-    failure: float = 2.0
-    power: float = 0.1
 
 
 class PandaMazeEnv(PandaEnv):

@@ -20,15 +20,13 @@ from ppt_rl.training.maze import (
     MazeConfig,
     RecedingConfig,
     StepWiseMazeConfig,
-    fit_maze_prior,
-    make_follower,
-    make_follower_env,
     make_maze_env,
     make_maze_policy,
     make_maze_promp,
     maze_metrics,
     maze_space,
 )
+from ppt_rl.training.maze_prior import fit_maze_prior, make_follower, make_follower_env
 from ppt_rl.training.ppo import PPOConfig
 from ppt_rl.training.pretrained import is_pretrained, load_pretrained, pretrained_card, save_pretrained
 from ppt_rl.training.push import (
