@@ -134,7 +134,7 @@ def _tables(groups: dict[str, list[Run]]) -> tuple[str, dict[str, Any]]:
         paper = " / ".join(f"{value:g}" for value in _PAPER[metric]) if metric in _PAPER else "-"
         lines.append(f"| {metric} [{unit}] | {paper} | " + " | ".join(cells) + " |")
     slow = _slow_jerk(groups)
-    cells = [f"{np.mean(slow[name]):.3f}" for name in pooled]
+    cells = [f"{np.mean(slow[name]):.3f}" if name in slow else "-" for name in pooled]
     lines.append(f"| jerk_rms at {_SLOW_CUTOFF:g} Hz [m/s^3] | 1.85 / 2.7 | " + " | ".join(cells) + " |")
     record = first.evaluation()
     seeds = ", ".join(f"{name} {len(group)}" for name, group in groups.items())
@@ -188,7 +188,9 @@ def _draw(results: Path, groups: dict[str, list[Run]]) -> None:
     configs = {name: _config(runs[0]) for name, runs in groups.items()}
     plot_curves(curves, results / "training.png", p_max=next(iter(configs.values())).p_max)
     plot_layout(paper_layout(), results / "paper_maze.png")
-    plot_rollouts(paper_layout(), {name: _arrays(runs[0]) for name, runs in groups.items()}, results / "rollouts.png")
+    rollouts = {name: _arrays(runs[0]) for name, runs in groups.items() if (runs[0].results / "rollouts.npz").exists()}
+    if rollouts:
+        plot_rollouts(paper_layout(), rollouts, results / "rollouts.png")
     rows = {name: _pooled([run.episodes() for run in runs]) for name, runs in groups.items()}
     first = next(iter(groups.values()))[0]
     rows |= {b: first.episodes(_file(b)) for b in BASELINES if (first.results / f"{_file(b)}.csv.gz").exists()}

@@ -85,7 +85,7 @@ def plot_rollouts(layout: MazeLayout, rollouts: Mapping[str, Mapping[str, Array]
             above.plot(points[:, 1], points[:, 0], ".", color="black", ms=3, label="via-points from touch")
             side.plot(points[:, 1], points[:, 2], ".", color="black", ms=3)
         above.legend(loc="upper right", fontsize=8)
-        above.set_title(f"{variant}: {len(rollout['steps'])} starts, x-y above, x-z below", fontsize=10)
+        above.set_title(f"{variant}: {len(rollout['steps'])} starts; from above and from the side", fontsize=10)
     save_figure(figure, path)
 
 

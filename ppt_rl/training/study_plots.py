@@ -78,7 +78,7 @@ def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, st
     for axes, (name, label) in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics.items(), strict=True):
         drawn = axes.boxplot(
             [values[name] for values in rows.values()],
-            tick_labels=list(rows),
+            tick_labels=[name.replace(" ", "\n") for name in rows],
             whis=(5, 95),
             showfliers=False,
             patch_artist=True,
