@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from ppt_rl.envs.models import MazeLayout, MazeRanges
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
-from ppt_rl.training.config import TaskConfig
+from ppt_rl.training.config import TaskConfig, episode_metrics
 from ppt_rl.training.ppo import PPOConfig
 from ppt_rl.training.recipe import make_actor_critic
 
@@ -204,7 +204,7 @@ def maze_metrics(config: MazeConfig) -> MetricsConfig:
     Returns:
         The constants.
     """
-    return MetricsConfig(dt=config.control_dt, p_max=config.p_max, cutoff=config.cutoff)
+    return replace(episode_metrics(config), cutoff=config.cutoff)
 
 
 def make_maze_policy(

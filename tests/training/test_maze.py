@@ -49,7 +49,8 @@ def test_the_hand_over_dies_out_at_the_recipes_chunk_and_grows_at_a_tenth_of_it(
         return torch.cat([value, slope])
 
     carried = rows(phase) @ torch.linalg.pinv(rows(0.0))  # offset and velocity, from one hand-over to the next
-    assert (torch.linalg.eigvals(carried).abs().max() < 0.6) == stable
+    radius = torch.linalg.eigvals(carried).abs().max()
+    assert radius < 0.6 if stable else radius > 1.0
 
 
 def test_the_follower_reaches_the_end_behind_the_tank_of_the_policies():
