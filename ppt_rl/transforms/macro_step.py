@@ -32,7 +32,8 @@ class MacroStepTransform(ActionTransform):
 
     With ``interrupt_key``, a row where that observation is True ends its chunk early and waits, at rest in time, for
     the others; its next policy step goes on from there. When every row ends before the chunk does, the environment is
-    stepped once more and its answer discarded; where rows may be interrupted, it is stepped with no row.
+    stepped once more and its answer discarded; where all wait and no episode is over, those that were interrupted last
+    execute one control step more.
 
     Args:
         num_steps: N; None leaves it to the transform that makes the chunk.
@@ -77,9 +78,11 @@ class MacroStepTransform(ActionTransform):
         sum_keys, state_keys = self._sum_keys(), parent.state_keys
         alive = self._stepping(tensordict)  # None: every row
         frozen: TensorDictBase | None = None
+        spare: Tensor | None = None  # rows that step for nothing, so that those that wait need not
         memory = _Memory(tensordict, sum_keys, self.trace_keys)
         current = tensordict
-        for action in steps[:-1]:
+        last = steps[-1]
+        for number, action in enumerate(steps[:-1], start=1):
             current.set(self.action_key, action)
             if alive is not None:
                 current.set("_step", alive)
@@ -88,14 +91,24 @@ class MacroStepTransform(ActionTransform):
             memory.add(following, alive, self.discount)
             ended = self._ended(following).reshape(tensordict.batch_size)
             if bool(ended.any()):
-                alive = ~ended if alive is None else alive & ~ended
+                stepped, alive = alive, ~ended if alive is None else alive & ~ended
                 if not bool(alive.any()):
+                    done = frozen.get("done").reshape(tensordict.batch_size)
+                    if self.interrupt_key is None or bool(done.all()):
+                        break
+                    # Some row has to step: one whose episode is over, else those that were interrupted just now.
+                    alive = ended if stepped is None else ended & stepped
+                    spare = done if bool(done.any()) else None
+                    current, last = _carried(current, following.copy(), state_keys), steps[number]
                     break
             current = _carried(current, following if alive is None else following.copy(), state_keys)
         if current is not tensordict:
             tensordict.update(current)
-        tensordict.set(self.action_key, steps[-1])
-        if alive is not None and (self.interrupt_key is not None or bool(alive.any())):
+        tensordict.set(self.action_key, last)
+        if spare is not None:
+            tensordict.set("_step", spare)
+            alive = torch.zeros_like(spare)
+        elif alive is not None and bool(alive.any()):
             tensordict.set("_step", alive)
         else:
             tensordict.pop("_step", None)
