@@ -78,13 +78,14 @@ def make_env(
             MacroStepTransform(
                 config.replan_steps,
                 discount=config.ppo.gamma,
-                interrupt_key="contact_began" if config.replan_on_contact else None,
+                interrupt_key="new_wall" if config.replan_on_contact else None,
             ),
             RecedingProMPTransform(
                 promp,
                 maze_space(),
                 residual_scale=config.residual_scale,
                 max_lead=(config.max_lead, 0.001, 0.0),
+                max_slip=config.max_slip,
                 replan_steps=config.replan_steps,
                 dt=dt,
             ),

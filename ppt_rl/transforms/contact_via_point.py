@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey, expand_as_right
@@ -26,13 +28,15 @@ class ContactViaPointTransform(StatefulTransform):
         \Sigma = \sigma_t^2\, t t^\top + \sigma_n^2\, n n^\top + \sigma_z^2\, e_z e_z^\top
 
     due in the time ``T`` (``lookahead``). It takes the place of the one that is due first; those whose time has come
-    are masked. Contact has hysteresis. Append it at control rate, before a :class:`MacroStepTransform`; a
-    :class:`ViaPointTransform` with a frame, appended after that, makes the posterior.
+    are masked. Contact has hysteresis. A wall whose tangent is off the last via-point's by more than ``turn`` is new:
+    the via-points along the old one are forgotten, and the first along it is set at once. Append it at control rate,
+    before a :class:`MacroStepTransform`, which ``new_wall`` may interrupt; a :class:`ViaPointTransform` with a frame,
+    appended after that, makes the posterior.
 
-    State and observations: ``contact`` and, in its first step, ``contact_began`` ``(*B, 1)`` bool, ``via_phase``
-    ``(*B, M)``: time until due, as a share of the
-    primitive's duration [-], ``via_position`` ``(*B, M, 3)`` world [m], ``via_cov`` ``(*B, M, 3, 3)`` world axes [m^2],
-    ``via_mask`` ``(*B, M)`` bool, ``via_wait`` ``(*B, 1)`` until the next one [s].
+    State and observations: ``contact`` and ``new_wall`` ``(*B, 1)`` bool, ``via_phase`` ``(*B, M)``: time until due, as
+    a share of the primitive's duration [-], ``via_position`` ``(*B, M, 3)`` world [m], ``via_cov`` ``(*B, M, 3, 3)``
+    world axes [m^2], ``via_mask`` ``(*B, M)`` bool, ``via_tangent`` ``(*B, 2)`` of the last one [-], ``via_wait``
+    ``(*B, 1)`` until the next one [s], ``via_pause`` ``(*B, 1)`` until a wall may be told to be new again [s].
 
     Args:
         duration: of the primitive [s].
@@ -41,6 +45,8 @@ class ContactViaPointTransform(StatefulTransform):
         speed: v, along the wall [m/s].
         offset: b, off the wall [m].
         spacing: between via-points [s].
+        turn: a wall is new where its tangent has turned by more than this, below pi [rad].
+        pause: at least, from one ``new_wall`` that is told to the next [s].
         std: standard deviations along the wall, across it and in height [m].
         on: contact begins above this force on a wall [N].
         off: and ends below this [N].
@@ -69,6 +75,8 @@ class ContactViaPointTransform(StatefulTransform):
         speed: float = 0.06,
         offset: float = 0.002,
         spacing: float = 0.05,
+        turn: float = 0.3,
+        pause: float = 0.1,
         std: tuple[float, float, float] = (0.02, 0.004, 0.02),
         on: float = 1.0,
         off: float = 0.5,
@@ -94,6 +102,9 @@ class ContactViaPointTransform(StatefulTransform):
         self.capacity, self.offset, self.on, self.off = int(capacity), float(offset), float(on), float(off)
         self.speed = require_positive("speed", speed, "m/s")
         self.spacing = require_positive("spacing", spacing, "s")
+        if not 0 < turn < math.pi:
+            raise ValueError(f"turn is {turn} rad; expected a number above 0 and below pi.")
+        self.turn, self.pause = float(turn), require_positive("pause", pause, "s")
         self.friction = require_positive("friction", friction)
         self.slow = require_positive("slow", slow, "m/s")
         self.dt = require_positive("dt", dt, "s")
@@ -118,18 +129,23 @@ class ContactViaPointTransform(StatefulTransform):
     def _updated(self, old: dict[str, Tensor], pose: Tensor, wall: WallContact) -> dict[str, Tensor]:
         size = torch.linalg.vector_norm(wall.force, dim=-1, keepdim=True)
         contact = is_touching(old["contact"], size, on=self.on, off=self.off)
-        wait = (old["via_wait"] - self.dt).clamp_min(0.0)
+        same = (wall.tangent * old["via_tangent"]).sum(-1, keepdim=True) >= math.cos(self.turn)
+        new = contact & ~same
+        wait, pause = ((old[key] - self.dt).clamp_min(0.0) for key in ("via_wait", "via_pause"))
+        told = new & (pause < 0.5 * self.dt)
         phase = (old["via_phase"] - self.dt / self.duration).clamp_min(0.0)
-        mask = old["via_mask"] & (phase > 0.5 * self.dt / self.duration)  # due, but for the rounding of a sum
-        sets = contact & (wait < 0.5 * self.dt)  # (*B, 1)
+        mask = old["via_mask"] & (phase > 0.5 * self.dt / self.duration) & ~new  # due, but for the rounding of a sum
+        sets = new | contact & (wait < 0.5 * self.dt)  # (*B, 1)
         # The slot that is due first, an empty one before all others.
         slot = torch.where(mask, phase, -torch.ones_like(phase)).argmin(-1, keepdim=True)
         chosen = sets & (torch.arange(self.capacity, device=phase.device) == slot)  # (*B, M)
         position, cov = self._via_point(pose, wall)
         return {
             "contact": contact,
-            "contact_began": contact & ~old["contact"],
+            "new_wall": told,
             "via_wait": torch.where(sets, self.spacing, wait),
+            "via_pause": torch.where(told, self.pause, pause),
+            "via_tangent": torch.where(sets, wall.tangent, old["via_tangent"]),
             "via_phase": torch.where(chosen, self.lookahead / self.duration, phase),
             "via_mask": mask | chosen,
             "via_position": torch.where(chosen.unsqueeze(-1), position.unsqueeze(-2), old["via_position"]),
@@ -163,15 +179,18 @@ class ContactViaPointTransform(StatefulTransform):
         return tensordict_reset
 
     def _keys(self) -> tuple[str, ...]:
-        return "contact", "contact_began", "via_wait", "via_phase", "via_mask", "via_position", "via_cov"
+        times, flags = ("via_wait", "via_pause", "via_phase"), ("contact", "new_wall", "via_mask")
+        return *flags, *times, "via_tangent", "via_position", "via_cov"
 
     def _empty(self, pose: Tensor) -> dict[str, Tensor]:
         batch, size = pose.shape[:-1], self.capacity
         flag = torch.zeros(*batch, size, dtype=torch.bool, device=pose.device)
         return {
             "contact": flag[..., :1].clone(),
-            "contact_began": flag[..., :1].clone(),
+            "new_wall": flag[..., :1].clone(),
             "via_wait": pose.new_zeros(*batch, 1),
+            "via_pause": pose.new_zeros(*batch, 1),
+            "via_tangent": pose.new_zeros(*batch, 2),
             "via_phase": pose.new_zeros(*batch, size),
             "via_mask": flag,
             "via_position": pose.new_zeros(*batch, size, 3),
@@ -190,6 +209,6 @@ class ContactViaPointTransform(StatefulTransform):
 
         size = self.capacity
         return {
-            "contact": flag(1), "contact_began": flag(1), "via_wait": real(1), "via_phase": real(size),
-            "via_mask": flag(size), "via_position": real(size, 3), "via_cov": real(size, 3, 3),
+            "contact": flag(1), "new_wall": flag(1), "via_mask": flag(size), "via_wait": real(1), "via_pause": real(1),
+            "via_phase": real(size), "via_tangent": real(2), "via_position": real(size, 3), "via_cov": real(size, 3, 3),
         }  # fmt: skip

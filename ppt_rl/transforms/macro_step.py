@@ -39,7 +39,7 @@ class MacroStepTransform(ActionTransform):
         num_steps: N; None leaves it to the transform that makes the chunk.
         discount: of rewards within the chunk [-].
         trace_keys: entries under next to record.
-        interrupt_key: observation ``(*B, 1)`` bool that ends a row's chunk early, such as ``contact_began``; the
+        interrupt_key: observation ``(*B, 1)`` bool that ends a row's chunk early, such as ``new_wall``; the
             environment must honour a ``_step`` mask.
         action_key: the action: a chunk outside, its steps towards the environment.
 

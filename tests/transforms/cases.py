@@ -99,7 +99,17 @@ CASES: dict[str, Case] = {
                 **kwargs,
             },
         ),
-        state=("contact", "contact_began", "via_wait", "via_phase", "via_mask", "via_position", "via_cov"),
+        state=(
+            "contact",
+            "new_wall",
+            "via_mask",
+            "via_wait",
+            "via_pause",
+            "via_phase",
+            "via_tangent",
+            "via_position",
+            "via_cov",
+        ),
         nested={f"{key}_key": ("agent", key) for key in ("pose", "twist", "wrench")}
         | {"heading_key": ("agent", "start_heading")},
         base={"via_points": False},

@@ -20,7 +20,9 @@ SPEED, OFFSET, STD = 0.08, 0.002, (0.02, 0.003, 0.01)
 ALIVE, EVERY = round(LOOKAHEAD / DT), round(SPACING / DT)  # [control steps]
 FRICTION = 0.25
 EXACT: dict[str, Any] = {"rtol": 0.0, "atol": 1e-9}
-STATE = ("contact", "contact_began", "via_wait", "via_phase", "via_mask", "via_position", "via_cov")
+STATE = (
+    "contact", "new_wall", "via_mask", "via_wait", "via_pause", "via_phase", "via_tangent", "via_position", "via_cov",
+)  # fmt: skip
 
 
 def make_transform(**kwargs: Any) -> ContactViaPointTransform:
@@ -44,9 +46,9 @@ def wall_force(size: Tensor, way: Tensor, side: float = 1.0) -> Tensor:
 def scripted(
     force: Tensor, way: Tensor, *, side: float = 1.0, poses: Tensor | None = None, **kwargs: Any
 ) -> TransformedEnv:
-    """A tool held up by walls along angles ``(B, 1)``, pressed on by normal forces ``(B, T + 1)``."""
+    """A tool held up by walls along angles ``(B, 1)`` or ``(B, T + 1, 1)``, pressed on by forces ``(B, T + 1)``."""
     rows, steps = force.shape
-    angle = way.unsqueeze(1).expand(rows, steps, 1)
+    angle = way if way.ndim == 3 else way.unsqueeze(1).expand(rows, steps, 1)
     wrench = wall_force(force.unsqueeze(-1), angle, side)
     poses = random_poses(rows, steps) if poses is None else poses
     script = {"pose": poses, "twist": torch.zeros_like(wrench), "smooth_wrench": wrench, "heading": angle}
@@ -122,10 +124,39 @@ def test_contact_and_so_the_via_points_begin_above_one_force_and_end_below_a_sma
     assert steps["via_mask"].sum(-1).flatten().tolist() == [0, 1, 2, 3, 3, 3]
 
 
-def test_that_contact_began_is_told_in_its_first_step_only() -> None:
+def test_a_wall_is_told_to_be_new_in_its_first_step_only_and_not_where_contact_comes_back() -> None:
     force = 4.0 * torch.tensor([[1, 1, 1, 1, 0, 0, 1, 1]], dtype=torch.float64)
-    began = watch(scripted(force, ways()), 7)["contact_began"].flatten().tolist()
-    assert began == [True, False, False, False, False, True, False]
+    assert watch(scripted(force, ways()), 7)["new_wall"].flatten().tolist() == [True] + 6 * [False]
+
+
+def turning(turns: list[float]) -> Tensor:
+    """Directions ``(1, T + 1, 1)`` of a wall: the first for the reset, then one for every step."""
+    return torch.tensor([turns[0], *turns], dtype=torch.float64).reshape(1, -1, 1)
+
+
+@pytest.mark.parametrize("by", [0.35, -0.35, 3.0])
+def test_a_wall_that_has_turned_is_new_and_the_via_points_along_the_old_one_are_forgotten(by: float) -> None:
+    steps = watch(scripted(pressed(14), turning([0.0] * 12 + [by] * 2), turn=0.3), 14)
+    assert steps["new_wall"].flatten().tolist() == [True] + 11 * [False] + [True, False]
+    assert steps["via_mask"].sum(-1).flatten().tolist() == [1] * 5 + [2] * 5 + [3] * 2 + [1] * 2
+    along = steps["via_position"][0, -1] - steps["pose"][0, 12, :3]
+    way = torch.tensor([math.cos(by), math.sin(by)], dtype=torch.float64)
+    offset = math.copysign(OFFSET, 1.0) * torch.tensor([-math.sin(by), math.cos(by)], dtype=torch.float64)
+    kept = steps["via_mask"][0, -1]
+    assert_close(along[kept][0, :2], SPEED * LOOKAHEAD * way - offset, rtol=0.0, atol=1e-8)
+
+
+def test_a_wall_that_turns_a_little_is_not_new() -> None:
+    steps = watch(scripted(pressed(14), turning([0.0] * 7 + [0.25] * 7), turn=0.3), 14)
+    assert steps["new_wall"].sum() == 1
+    assert steps["via_mask"].sum(-1).flatten().tolist() == [1] * 5 + [2] * 5 + [3] * 4
+
+
+def test_walls_in_quick_succession_are_told_after_a_pause_only_but_via_points_are_forgotten_at_once() -> None:
+    turns = [0.0] * 4 + [0.5] * 4 + [1.0] * 4
+    steps = watch(scripted(pressed(12), turning(turns), pause=0.08), 12)
+    assert steps["new_wall"].flatten().nonzero().flatten().tolist() == [0, 8]
+    assert steps["via_mask"].sum(-1).flatten().tolist() == [1] * 12
 
 
 def test_contact_that_comes_back_within_the_spacing_waits_for_the_next_via_point() -> None:
@@ -187,7 +218,7 @@ def test_a_partial_reset_empties_the_buffer_only_in_its_rows() -> None:
     root = env.reset(last.clone())
     for key in STATE:
         assert torch.equal(root[key][[0, 2]], last[key][[0, 2]])
-    for key in ("contact", "contact_began", "via_wait", "via_phase", "via_mask"):
+    for key in ("contact", "new_wall", "via_mask", "via_wait", "via_pause", "via_phase", "via_tangent"):
         assert not root[key][1].any()
 
 
@@ -213,7 +244,7 @@ def test_a_missing_observation_is_named_with_who_writes_it(key: str) -> None:
         make_transform()._step(td, td)
 
 
-@pytest.mark.parametrize("name", ["duration", "lookahead", "speed", "spacing", "friction", "slow", "dt"])
+@pytest.mark.parametrize("name", ["duration", "lookahead", "speed", "spacing", "pause", "friction", "slow", "dt"])
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
 def test_a_number_that_is_not_positive_is_refused_by_name(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=rf"{name} is {value}; expected a finite number above 0"):
@@ -224,6 +255,8 @@ def test_a_number_that_is_not_positive_is_refused_by_name(name: str, value: floa
     ("given", "message"),
     [
         ({"lookahead": 0.9}, r"lookahead is 0\.9 s; expected at most the primitive's duration, 0\.8 s"),
+        ({"turn": 0.0}, r"turn is 0\.0 rad; expected a number above 0 and below pi"),
+        ({"turn": 3.2}, r"turn is 3\.2 rad"),
         ({"capacity": 0}, "capacity is 0; expected at least 1"),
         ({"on": 0.4, "off": 0.5}, r"on and off are 0\.4 and 0\.5 N; expected on >= off > 0"),
         ({"off": 0.0}, r"on and off are 1\.0 and 0\.0 N"),
