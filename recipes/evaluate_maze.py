@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -33,6 +34,8 @@ from ppt_rl.training.logs import write_text_atomically
 from ppt_rl.training.video import episode_frames, write_video
 
 Rows = dict[str, np.ndarray]
+#: Who else acts, for comparison.
+BASELINES = ("reference alone", "wall follower")
 #: What is reported of an episode in the maze, with units.
 COLUMNS = {**REPORTED, "seconds": "s", "left_corridor": "0-1", "unsafe": "0-1"}
 
@@ -76,7 +79,9 @@ class Config:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected at least 1.")
 
 
-def evaluate(policy: Policy, run: Config, ranges: MazeRanges | None = None) -> dict[str, Rows]:
+def evaluate(
+    policy: Policy, run: Config, ranges: MazeRanges | None = None, *, baselines: Sequence[str] = BASELINES
+) -> dict[str, Rows]:
     """Rows of every metric by who acts, all in the same mazes."""
     layouts = [MazeLayout.load(path) for path in run.layout]
     count = len(layouts) or run.mazes
@@ -86,10 +91,10 @@ def evaluate(policy: Policy, run: Config, ranges: MazeRanges | None = None) -> d
         "ranges": MazeRanges() if ranges is None else ranges,
     }  # fmt: skip
     actors: dict[str, Any] = {policy.variant: policy.actor}
-    if run.baseline and policy.modules:
+    if run.baseline and policy.modules and "reference alone" in baselines:
         actors["reference alone"] = ZeroPolicy(policy.actor)
     rows = {name: _rows(policy.make_env(**where), actor, count) for name, actor in actors.items()}
-    if run.baseline:
+    if run.baseline and "wall follower" in baselines:
         config = policy.config
         rows["wall follower"] = _rows(
             make_follower_env(config, make_maze_env(config, **where)), make_follower(config), count

@@ -88,9 +88,7 @@ def main(run: Config) -> None:
                     path, mazes=run.mazes, seed=run.seed, num_threads=run.num_threads,
                     baseline=run.baseline and number == 0,
                 )  # fmt: skip
-                for name, rows in evaluate(policy, setup, ranges(value)).items():
-                    if name == "reference alone":
-                        continue
+                for name, rows in evaluate(policy, setup, ranges(value), baselines=["wall follower"]).items():
                     label = {"ppt_maze": "PPT", "st_maze": "ST"}.get(name, name)
                     entry = curves.setdefault(quantity, {}).setdefault(label, ([], [], []))
                     entry[0].append(value)

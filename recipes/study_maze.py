@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from evaluate import as_csv
-from evaluate_maze import COLUMNS, Config, evaluate
+from evaluate_maze import BASELINES, COLUMNS, Config, evaluate
 from numpy.typing import NDArray
 from registry import Policy, recipe_of, restored_config
 from study_runs import Run, curves_csv
@@ -36,8 +36,6 @@ _PAPER = {
     "contact_continuity": (0.74, 0.48),
     "progress": (0.70, 0.76),
 }
-#: Who else acts, for comparison.
-BASELINES = ("reference alone", "wall follower")
 _BOXES = {"jerk_rms": "jerk RMS [m/s³]", "wrench_p95": "P95 force [N]", "seconds": "time [s]"}
 #: A second low-pass, for the metric of jerk alone [Hz]: the paper names none, and jerk hangs on it.
 _SLOW_CUTOFF, _SLOW_MAZES = 5.0, 32

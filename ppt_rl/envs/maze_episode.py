@@ -58,11 +58,11 @@ class MazeRewards:
         power: penalty on measured work, in or out [1/J].
     """
 
-    progress: float = 3.0
+    progress: float = 1.0
     success: float = 1.0
-    free_space: float = 2.0
-    cruise: float = 0.06
-    contact: float = 3.0
+    free_space: float = 10.0
+    cruise: float = 0.057
+    contact: float = 12.0
     force_scale: float = 4.0
     jolt: float = 5.0
     failure: float = 2.0

@@ -69,7 +69,7 @@ class MazeConfig(TaskConfig):
     cutoff: float = 10.0
     depth: float = 0.006
     ppo: PPOConfig = field(
-        default_factory=lambda: PPOConfig(total_control_steps=614_400, max_learning_rate=5e-4, gamma=0.995)
+        default_factory=lambda: PPOConfig(total_control_steps=614_400, max_learning_rate=5e-4, gamma=0.998)
     )
 
 
@@ -85,7 +85,7 @@ class RecedingConfig(MazeConfig):
         residual_left: to the left [m].
         residual_up: upwards [m].
         max_lead: how far ahead of the tool a primitive may begin [m].
-        max_slip: how much faster or slower than a tool in contact it may begin [m/s].
+        max_slip: how much faster or slower than a tool in contact it may begin across the wall [m/s].
         replan_on_contact: whether a wall that is newly felt, or has turned, ends a chunk early.
         initial_scale: standard deviation of the untrained policy, in residuals [-].
         batch_steps: policy steps of every environment between two updates.

@@ -31,13 +31,14 @@ class RecedingProMPTransform(ProMPTransform):
     ``replan_steps`` are executed, or fewer where the macro step is interrupted, then the next one takes over,
     continuous in reference and velocity. A blocked tool does not let the reference run away: the frame's
     origin is at most the lead ``l`` from the tool, and the primitive leads from the old reference to where it would be
-    from there. Where the tool touches a wall (observation ``contact``), the wall has stopped it within milliseconds,
-    and the reference follows: on the map the primitive begins at the velocity
+    from there. Where the tool touches a wall (observation ``contact``) of tangent ``t`` and normal ``n``, the wall has
+    turned the tool within milliseconds, and the reference turns with it: on the map the primitive begins at
 
-    .. math:: \dot y_0' = \dot x + R_z(\psi)\, \mathrm{clip}\big(R_z(-\psi)(\dot y_0 - \dot x),\ -s,\ s\big)
+    .. math:: \dot y_0' = |\dot y_0|\, t + \big(\dot x \cdot n
+        + \mathrm{clip}((\dot y_0 - \dot x) \cdot n,\ -s,\ s)\big)\, n
 
-    at most the slip ``s`` from the tool's own, so the tool is not pressed on the way it wanted to go. Without ``s``,
-    or without contact, the velocity is continuous as well.
+    as fast as before along the wall, and across it at most the slip ``s`` faster than the tool, which is not pressed on
+    the way it wanted to go. Without ``s``, or without contact, the velocity is continuous as well.
 
     State and observations as for :class:`ProMPTransform`; ``reference_position`` and ``reference_velocity`` are in
     world coordinates, ``weights`` in the tool's frame, and ``phase`` is where the last primitive was left.
@@ -48,14 +49,15 @@ class RecedingProMPTransform(ProMPTransform):
         residual_scale: one number, or three: how far a residual of 1 moves a weight ahead, to the left and up [m].
         max_lead: l, three numbers: how far ahead, to the left and up of the tool a primitive may begin [m]. Zero begins
             at the tool itself.
-        max_slip: s, how much faster or slower than a tool in contact a primitive may begin, ahead and to the left
-            [m/s]; None for no limit.
+        max_slip: s, how much faster or slower than a tool in contact a primitive may begin across the wall [m/s]; None
+            for no limit.
         replan_steps: control steps from one policy step to the next.
         dt: control step [s].
         action_key: the action: residual outside, references towards the environment.
         pose_key: end-effector pose observation.
         twist_key: measured twist; needed for ``max_slip`` only.
         contact_key: contact observation, as :class:`ContactViaPointTransform` writes it; likewise.
+        tangent_key: of the wall, world axes on the map, as that transform writes it; likewise.
         heading_key: heading observation, as :class:`HeadingFrameTransform` writes it.
         weights_key: reference weights, as :class:`ViaPointTransform` writes them; where missing, the prior's mean.
 
@@ -80,6 +82,7 @@ class RecedingProMPTransform(ProMPTransform):
         pose_key: NestedKey = "pose",
         twist_key: NestedKey = "twist",
         contact_key: NestedKey = "contact",
+        tangent_key: NestedKey = "via_tangent",
         heading_key: NestedKey = "heading",
         weights_key: NestedKey = "weights_mean",
     ) -> None:
@@ -89,7 +92,7 @@ class RecedingProMPTransform(ProMPTransform):
             promp, task_space, residual_scale=residual_scale, replan_steps=replan_steps, dt=dt, action_key=action_key,
             pose_key=pose_key, weights_key=weights_key,
         )  # fmt: skip
-        self.heading_key, self.twist_key, self.contact_key = heading_key, twist_key, contact_key
+        self.heading_key, self._wall_keys = heading_key, (twist_key, contact_key, tangent_key)
         if max_slip is not None and not 0 <= max_slip < math.inf:
             raise ValueError(f"max_slip is {max_slip}; expected at least 0 m/s, or None.")
         self.max_slip = max_slip
@@ -104,18 +107,19 @@ class RecedingProMPTransform(ProMPTransform):
         if position is None or velocity is None:
             position, velocity = origin, torch.zeros_like(origin)
         phase = torch.zeros_like(action[..., :1])
-        velocity = self._slipping(tensordict, to_heading(velocity, heading), heading)
-        return phase, to_heading(position - origin, heading), velocity
+        return phase, to_heading(position - origin, heading), to_heading(self._turned(tensordict, velocity), heading)
 
-    def _slipping(self, tensordict: TensorDictBase, velocity: Tensor, heading: Tensor) -> Tensor:
-        """Velocity to begin at, heading axes: where the tool touches a wall, near the tool's own on the map."""
+    def _turned(self, tensordict: TensorDictBase, velocity: Tensor) -> Tensor:
+        """Velocity to begin at, world: where the tool touches a wall, along it."""
         if self.max_slip is None:
             return velocity
-        twist, contact = self._require(tensordict, self.twist_key, self.contact_key)
-        tool = to_heading(twist[..., :3], heading)
-        near = tool + (velocity - tool).clamp(-self.max_slip, self.max_slip)
-        near[..., 2] = velocity[..., 2]
-        return torch.where(contact, near, velocity)
+        twist, contact, tangent = self._require(tensordict, *self._wall_keys)
+        normal = torch.stack([-tangent[..., 1], tangent[..., 0]], -1)
+        tool, wanted = ((v[..., :2] * normal).sum(-1, keepdim=True) for v in (twist, velocity))
+        across = tool + (wanted - tool).clamp(-self.max_slip, self.max_slip)
+        along = torch.linalg.vector_norm(velocity[..., :2], dim=-1, keepdim=True)
+        turned = torch.cat([along * tangent + across * normal, velocity[..., 2:]], -1)
+        return torch.where(contact, turned, velocity)
 
     def _placed(self, tensordict: TensorDictBase, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
         origin, heading = (value.unsqueeze(-2) for value in self._frame(tensordict))
