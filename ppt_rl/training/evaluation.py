@@ -60,7 +60,8 @@ _WHERE_THERE = ("box_size", "left_corridor", "unsafe")
 def run_episodes(env: EnvBase, policy: Any, episodes: int) -> dict[str, np.ndarray]:
     """Run a policy deterministically and collect one row per episode.
 
-    Every environment's first episodes are taken in turn, so short episodes are not preferred.
+    Every environment's first episodes are taken in turn, so short episodes are not preferred. An environment whose
+    episode is over waits for the others: what the next round is drawn from does not hang on who acts.
 
     Args:
         env: batch-locked environment with metrics in its chain.
@@ -93,7 +94,7 @@ def _one_round(env: EnvBase, policy: Any) -> dict[str, np.ndarray]:
     waiting = torch.ones(env.batch_size, dtype=torch.bool)
     elapsed = torch.zeros(env.batch_size, dtype=torch.int64)
     while bool(waiting.any()):
-        tensordict = env.step(policy(tensordict))
+        tensordict = env.step(policy(tensordict).set("_step", waiting.to(env.device)))
         following = tensordict["next"]
         ended = following["done"].squeeze(-1).cpu() & waiting
         steps = following.get("control_steps", None)
@@ -102,8 +103,6 @@ def _one_round(env: EnvBase, policy: Any) -> dict[str, np.ndarray]:
             rows.setdefault(name, np.zeros(env.batch_size))[ended.numpy()] = value.cpu().numpy()[ended.numpy()]
         waiting &= ~ended
         tensordict = env.step_mdp(tensordict)
-        if bool(waiting.any()) and bool(ended.any()):
-            tensordict = env.maybe_reset(tensordict)
     return rows
 
 

@@ -64,6 +64,17 @@ def test_the_follower_reaches_the_end_behind_the_tank_of_the_policies():
     env.close()
 
 
+def test_every_episode_is_in_a_maze_of_its_own_whoever_ends_first():
+    lengths = (0.09, 0.13, 0.12, 0.1)
+    layouts = [MazeLayout((Straight(length),), start=(0.5, -0.06)) for length in lengths]
+    env = make_follower_env(CONFIG, make_maze_env(CONFIG, layouts=layouts, num_envs=2))
+    rows = run_episodes(env, make_follower(CONFIG), 4)
+    assert rows["success"].all()
+    assert rows["control_steps"].argsort().tolist() == [0, 3, 2, 1]  # as by length
+    assert env.base_env.layouts == layouts[2:]
+    env.close()
+
+
 def test_recorded_episodes_end_row_by_row_and_keep_what_ended_them():
     layouts = [MazeLayout((Straight(length),), start=(0.5, -0.06)) for length in (0.14, 0.09)]
     env = make_follower_env(CONFIG, make_maze_env(CONFIG, layouts=layouts))
