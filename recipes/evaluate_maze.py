@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -79,24 +78,22 @@ class Config:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected at least 1.")
 
 
-def evaluate(
-    policy: Policy, run: Config, ranges: MazeRanges | None = None, *, baselines: Sequence[str] = BASELINES
-) -> dict[str, Rows]:
+def evaluate(policy: Policy, run: Config) -> dict[str, Rows]:
     """Rows of every metric by who acts, all in the same mazes."""
     layouts = [MazeLayout.load(path) for path in run.layout]
     count = len(layouts) or run.mazes
     policy = policy.with_changes({"num_threads": run.num_threads, "cutoff": run.cutoff})
     where: dict[str, Any] = {
         "num_envs": min(run.num_envs, count), "seed": run.seed, "audit": True, "layouts": layouts,
-        "ranges": MazeRanges() if ranges is None else ranges,
+        "ranges": MazeRanges(),
     }  # fmt: skip
     actors: dict[str, Any] = {policy.variant: policy.actor}
-    if run.baseline and policy.modules and "reference alone" in baselines:
-        actors["reference alone"] = ZeroPolicy(policy.actor)
+    if run.baseline and policy.modules:
+        actors[BASELINES[0]] = ZeroPolicy(policy.actor)
     rows = {name: _rows(policy.make_env(**where), actor, count) for name, actor in actors.items()}
-    if run.baseline and "wall follower" in baselines:
+    if run.baseline:
         config = policy.config
-        rows["wall follower"] = _rows(
+        rows[BASELINES[1]] = _rows(
             make_follower_env(config, make_maze_env(config, **where)), make_follower(config), count
         )
     return rows

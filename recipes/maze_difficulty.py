@@ -7,24 +7,25 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import torch
 import tyro
-from evaluate_maze import Config as Evaluation
-from evaluate_maze import evaluate
 from registry import load_policy
 
-from ppt_rl.envs import MazeRanges
-from ppt_rl.training import run_cli
+from ppt_rl.envs import MazeLayout, MazeRanges, random_maze
+from ppt_rl.training import make_follower, make_follower_env, make_maze_env, run_cli, run_episodes
 from ppt_rl.training.evaluation import interval
 from ppt_rl.training.logs import write_text_atomically
 from ppt_rl.training.maze_plots import plot_difficulty
 
 _USUAL = MazeRanges()
+#: Mazes that are driven through together.
+_TOGETHER = 96
 
 
 def _turn(degrees: float) -> MazeRanges:
@@ -77,26 +78,49 @@ def main(run: Config) -> None:
     """Sweep and draw."""
     if not run.checkpoints:
         raise ValueError("no checkpoint given; expected at least one.")
+    points = _points(run)
+    layouts = [layout for _, _, drawn in points for layout in drawn]
     curves: dict[str, dict[str, Any]] = {}
-    for quantity, (ranges, values, _) in SWEEPS.items():
-        for value in values:
-            for number, path in enumerate(run.checkpoints):
-                policy = load_policy(path)
-                if policy.task != "maze":
-                    raise ValueError(f"{path} holds {policy.variant}; expected a maze policy.")
-                setup = Evaluation(
-                    path, mazes=run.mazes, seed=run.seed, num_threads=run.num_threads,
-                    baseline=run.baseline and number == 0,
-                )  # fmt: skip
-                for name, rows in evaluate(policy, setup, ranges(value), baselines=["wall follower"]).items():
-                    label = {"ppt_maze": "PPT", "st_maze": "ST"}.get(name, name)
-                    entry = curves.setdefault(quantity, {}).setdefault(label, ([], [], []))
-                    entry[0].append(value)
-                    entry[1].append(float(rows["success"].mean()))
-                    entry[2].append(interval(rows["success"], is_rate=True))
-                    print(f"{quantity} {value:g}, {label}: success {entry[1][-1]:.2f}", flush=True)
+    for label, make_env, actor in _actors(run):
+        env = make_env(num_envs=min(_TOGETHER, len(layouts)), seed=run.seed, layouts=layouts)
+        success = run_episodes(env, actor, len(layouts))["success"].reshape(len(points), run.mazes)
+        env.close()
+        for (quantity, value, _), here in zip(points, success, strict=True):
+            entry = curves.setdefault(quantity, {}).setdefault(label, ([], [], []))
+            entry[0].append(value)
+            entry[1].append(float(here.mean()))
+            entry[2].append(interval(here, is_rate=True))
+            print(f"{quantity} {value:g}, {label}: success {entry[1][-1]:.2f}", flush=True)
         write_text_atomically(run.report / "difficulty.json", json.dumps(curves, indent=2) + "\n")
     plot_difficulty(curves, run.report / "difficulty.png", usual={name: sweep[2] for name, sweep in SWEEPS.items()})
+
+
+def _points(run: Config) -> list[tuple[str, float, list[MazeLayout]]]:
+    """Quantity, value and mazes of every point of the curves; the n-th maze of all values is drawn from one seed."""
+    return [
+        (name, value, [random_maze(np.random.default_rng([run.seed, n]), ranges(value)) for n in range(run.mazes)])
+        for name, (ranges, values, _) in SWEEPS.items()
+        for value in values
+    ]
+
+
+def _actors(run: Config) -> Iterator[tuple[str, Callable[..., Any], Any]]:
+    """Label, maker of the environment, and who acts."""
+    policies = [load_policy(path).with_changes({"num_threads": run.num_threads}) for path in run.checkpoints]
+    for path, policy in zip(run.checkpoints, policies, strict=True):
+        if policy.task != "maze":
+            raise ValueError(f"{path} holds {policy.variant}; expected a maze policy.")
+    variants = [policy.variant for policy in policies]
+    for path, policy in zip(run.checkpoints, policies, strict=True):
+        name = {"ppt_maze": "PPT", "st_maze": "ST"}[policy.variant]
+        yield name if variants.count(policy.variant) == 1 else f"{name}, {path}", policy.make_env, policy.actor
+    if run.baseline:
+        config = policies[0].config
+        yield (
+            "wall follower",
+            lambda **where: make_follower_env(config, make_maze_env(config, **where)),
+            make_follower(config),
+        )
 
 
 if __name__ == "__main__":
