@@ -1,9 +1,17 @@
 """Modules that hold parameters: movement primitive, impedance gains, kinematics, networks."""
 
-from ppt_rl.modules.actor_critic import make_actor, make_critic
+from ppt_rl.modules.actor_critic import Mirror, make_actor, make_critic
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.modules.kinematics import PandaKinematics
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
 
-__all__ = ["CartesianImpedanceController", "PandaKinematics", "ProMP", "TaskSpace", "make_actor", "make_critic"]
+__all__ = [
+    "CartesianImpedanceController",
+    "Mirror",
+    "PandaKinematics",
+    "ProMP",
+    "TaskSpace",
+    "make_actor",
+    "make_critic",
+]

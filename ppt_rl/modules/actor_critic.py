@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -11,7 +12,7 @@ from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
 
-__all__ = ["HIDDEN", "InputNorm", "make_actor", "make_critic", "update_input_norm"]
+__all__ = ["HIDDEN", "InputNorm", "Mirror", "make_actor", "make_critic", "update_input_norm"]
 
 #: Hidden layers of actor and critic (paper, section "Common Experimental Setup").
 HIDDEN = (256, 256, 128)
@@ -72,23 +73,59 @@ class InputNorm(nn.Module):
         return ((x - self.loc) / self.scale).clamp(-self.limit, self.limit)
 
 
-class _Network(nn.Module):
-    """Input normalisation, hidden layers and a head."""
+class Mirror(NamedTuple):
+    """How inputs and action look in a mirror, where a task and its mirror image are the same task.
 
-    def __init__(self, in_size: int, out_size: int, head: nn.Module) -> None:
+    Attributes:
+        inputs: a factor of +1 or -1 for each input feature.
+        action: a factor of +1 or -1 for each number of the action.
+    """
+
+    inputs: Sequence[float]
+    action: Sequence[float]
+
+
+class _Network(nn.Module):
+    """Input normalisation, hidden layers and a head; with a mirror, the mean of what is said here and in the mirror."""
+
+    mirrored_in: Tensor | None
+    mirrored_out: Tensor | None
+
+    def __init__(self, in_size: int, out_size: int, head: nn.Module, mirror: Mirror | None = None) -> None:
         super().__init__()
         self.norm = InputNorm(in_size)
         self.mlp = MLP(in_features=in_size, out_features=out_size, num_cells=list(HIDDEN), activation_class=nn.ReLU)
         self.head = head
+        for name, size, signs in zip(("in", "out"), (in_size, out_size), mirror or (None, None), strict=True):
+            if signs is not None and (len(signs) != size or any(abs(sign) != 1 for sign in signs)):
+                raise ValueError(
+                    f"mirror has the factors {list(signs)} for {size} numbers; expected +1 or -1 for each."
+                )
+            factors = None if signs is None else torch.as_tensor(signs, dtype=torch.get_default_dtype())
+            self.register_buffer(f"mirrored_{name}", factors, persistent=False)
 
     def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
-        return self.head(self.mlp(self.norm(*inputs)))
+        x = torch.cat(inputs, -1)
+        y = self.mlp(self.norm(x))
+        if self.mirrored_in is not None:
+            y = 0.5 * (y + self.mirrored_out * self.mlp(self.norm(self.mirrored_in * x)))
+        return self.head(y)
 
 
 def make_actor(
-    in_keys: Sequence[str], in_size: int, action_size: int, *, action_key: str = "action", initial_scale: float = 1.0
+    in_keys: Sequence[str],
+    in_size: int,
+    action_size: int,
+    *,
+    action_key: str = "action",
+    initial_scale: float = 1.0,
+    mirror: Mirror | None = None,
 ) -> ProbabilisticActor:
-    """Gaussian actor with a state-independent scale; its last layer starts near zero, so the mean does too.
+    r"""Gaussian actor with a state-independent scale; its last layer starts near zero, so the mean does too.
+
+    With a mirror ``(S, T)`` its mean is equivariant, ``\mu(S o) = T \mu(o)``, whatever the network ``f`` learns:
+
+    .. math:: \mu(o) = \tfrac12 \big( f(o) + T f(S o) \big)
 
     Args:
         in_keys: observations it reads, concatenated in this order.
@@ -96,12 +133,16 @@ def make_actor(
         action_size: size of the action.
         action_key: where it writes.
         initial_scale: standard deviation at the start, in units of the action.
+        mirror: a symmetry of the task; None for none.
+
+    Raises:
+        ValueError: if the mirror does not fit.
 
     Returns:
         The actor. Its statistics of the inputs are set by :func:`update_input_norm`.
     """
     head = AddStateIndependentNormalScale(action_size, scale_lb=1e-3, init_value=math.log(initial_scale))
-    network = _Network(in_size, action_size, head)
+    network = _Network(in_size, action_size, head, mirror)
     with torch.no_grad():
         network.mlp[-1].weight.mul_(0.01)
         network.mlp[-1].bias.zero_()

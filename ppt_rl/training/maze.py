@@ -14,6 +14,7 @@ from torchrl.envs import TransformedEnv
 from ppt_rl.envs.maze import PandaMazeEnv
 from ppt_rl.envs.models import MazeLayout, MazeRanges
 from ppt_rl.functional.metrics import MetricsConfig
+from ppt_rl.modules.actor_critic import Mirror
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
 from ppt_rl.training.config import TaskConfig, episode_metrics
@@ -37,6 +38,8 @@ __all__ = [
 MAZE_AXES = ("x", "y", "z")
 #: What a policy may know: proprioception and wrench, along its heading.
 _KNOWN = ("heading_twist", "heading_wrench")
+#: A maze and its mirror image are alike: factors of twist and wrench along the heading, and of x, y and z, left for right.
+_MIRRORED_TWIST, _MIRRORED_AXES = (1.0, -1.0, 1.0, -1.0, 1.0, -1.0), (1.0, -1.0, 1.0)
 #: Observations that exist in simulation only; no evaluated policy sees them.
 MAZE_PRIVILEGED = ("corridor_offset", "corridor_heading")
 #: How far the basis reaches beyond phase 0 and 1, so that a straight line has no ripple there, and its overlap.
@@ -101,7 +104,7 @@ class RecedingConfig(MazeConfig):
     max_slip: float = 0.005
     replan_on_contact: bool = True
     initial_scale: float = 0.1
-    batch_steps: int = 20
+    batch_steps: int = 40
 
     @property
     def residual_scale(self) -> tuple[float, float, float]:
@@ -212,15 +215,22 @@ def maze_metrics(config: MazeConfig) -> MetricsConfig:
 def make_maze_policy(
     env: TransformedEnv, *, initial_scale: float, extra_keys: Sequence[str] = ()
 ) -> tuple[nn.Module, nn.Module]:
-    """Actor on proprioception and touch, critic on the place in the corridor as well.
+    """Actor on proprioception and touch, the same to the left as to the right; critic on the place in the corridor too.
 
     Args:
         env: with the recipe's chain.
         initial_scale: standard deviation of the untrained policy [action units].
-        extra_keys: observations that the recipe's transforms add.
+        extra_keys: observations that the recipe's transforms add, the same in a mirror.
 
     Returns:
         Actor and critic.
     """
     keys = [*_KNOWN, *extra_keys]
-    return make_actor_critic(env, keys, [*keys, "heading", *MAZE_PRIVILEGED], initial_scale=initial_scale)
+    same = sum(env.observation_spec[key].shape[-1] for key in extra_keys)
+    per_axis = env.full_action_spec["action"].shape[-1] // len(MAZE_AXES)  # numbers of the action, axis by axis
+    mirror = Mirror(
+        (*_MIRRORED_TWIST * len(_KNOWN), *(1.0,) * same), [sign for sign in _MIRRORED_AXES for _ in range(per_axis)]
+    )
+    return make_actor_critic(
+        env, keys, [*keys, "heading", *MAZE_PRIVILEGED], initial_scale=initial_scale, mirror=mirror
+    )

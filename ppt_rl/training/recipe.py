@@ -12,7 +12,7 @@ import torch
 from torch import nn
 from torchrl.envs import EnvBase
 
-from ppt_rl.modules.actor_critic import make_actor, make_critic, update_input_norm
+from ppt_rl.modules.actor_critic import Mirror, make_actor, make_critic, update_input_norm
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info, find_checkpoint
 from ppt_rl.training.logs import save_config
 from ppt_rl.training.loop import train_ppo
@@ -36,7 +36,12 @@ def as_json(config: Any) -> dict[str, Any]:
 
 
 def make_actor_critic(
-    env: EnvBase, actor_keys: Sequence[str], critic_keys: Sequence[str], *, initial_scale: float
+    env: EnvBase,
+    actor_keys: Sequence[str],
+    critic_keys: Sequence[str],
+    *,
+    initial_scale: float,
+    mirror: Mirror | None = None,
 ) -> tuple[nn.Module, nn.Module]:
     """Actor and critic sized for an environment.
 
@@ -45,6 +50,7 @@ def make_actor_critic(
         actor_keys: observations of the policy: nothing privileged.
         critic_keys: observations of the value network.
         initial_scale: standard deviation of the untrained policy [action units].
+        mirror: a symmetry that the policy shall have.
 
     Returns:
         Actor and critic.
@@ -61,7 +67,7 @@ def make_actor_critic(
         return sum(spec[key].shape[-1] for key in keys)
 
     size = env.full_action_spec["action"].shape[-1]
-    actor = make_actor(list(actor_keys), width(actor_keys), size, initial_scale=initial_scale)
+    actor = make_actor(list(actor_keys), width(actor_keys), size, initial_scale=initial_scale, mirror=mirror)
     return actor.to(env.device), make_critic(list(critic_keys), width(critic_keys)).to(env.device)
 
 

@@ -4,7 +4,7 @@ from tensordict import TensorDict
 from torch.testing import assert_close
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from ppt_rl.modules.actor_critic import HIDDEN, InputNorm, make_actor, make_critic, update_input_norm
+from ppt_rl.modules.actor_critic import HIDDEN, InputNorm, Mirror, make_actor, make_critic, update_input_norm
 
 KEYS = ("pose", "twist")
 
@@ -147,3 +147,26 @@ def test_inputs_are_read_in_the_order_of_the_keys():
     with torch.no_grad():
         first.weight.copy_(torch.cat([first.weight[:, 7:], first.weight[:, :7]], -1))
     assert_close(swapped(data.clone())["state_value"], critic(data.clone())["state_value"])
+
+
+def test_in_a_mirror_an_actor_does_the_mirrored_action_whatever_its_network_is() -> None:
+    inputs, action = torch.tensor([1.0, -1.0, -1.0, 1.0]), torch.tensor([1.0, -1.0, 1.0])
+    torch.manual_seed(0)
+    actor = make_actor(["o"], 4, 3, mirror=Mirror(inputs.tolist(), action.tolist()))
+    free = make_actor(["o"], 4, 3)
+    free.load_state_dict(actor.state_dict())
+    x = torch.randn(16, 4)
+    update_input_norm(actor, TensorDict({"o": x + 0.5}, 16))
+    update_input_norm(free, TensorDict({"o": x + 0.5}, 16))
+
+    def mean(who: torch.nn.Module, o: torch.Tensor) -> torch.Tensor:
+        return who.get_dist(TensorDict({"o": o}, 16)).mean
+
+    assert_close(mean(actor, inputs * x), action * mean(actor, x))
+    assert not torch.allclose(mean(free, inputs * x), action * mean(free, x), atol=1e-4)
+
+
+@pytest.mark.parametrize("mirror", [Mirror([1.0, -1.0], [1.0] * 3), Mirror([1.0] * 4, [0.5] * 3)])
+def test_a_mirror_that_does_not_fit_is_refused(mirror: Mirror) -> None:
+    with pytest.raises(ValueError, match=r"mirror has the factors .*; expected \+1 or -1 for each"):
+        make_actor(["o"], 4, 3, mirror=mirror)
