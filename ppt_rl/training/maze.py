@@ -38,7 +38,7 @@ __all__ = [
 MAZE_AXES = ("x", "y", "z")
 #: What a policy may know: proprioception and wrench, along its heading.
 _KNOWN = ("heading_twist", "heading_wrench")
-#: A maze and its mirror image are alike: factors of twist and wrench along the heading, and of x, y and z, left for right.
+#: A maze and its mirror image are alike: factors of twist and wrench along the heading, and of ahead, left and up.
 _MIRRORED_TWIST, _MIRRORED_AXES = (1.0, -1.0, 1.0, -1.0, 1.0, -1.0), (1.0, -1.0, 1.0)
 #: Observations that exist in simulation only; no evaluated policy sees them.
 MAZE_PRIVILEGED = ("corridor_offset", "corridor_heading")
