@@ -177,3 +177,21 @@ def test_the_bare_environment_of_the_recipes_takes_the_time_of_training_or_test(
     config = recipe_of("st_maze").Config(num_envs=1, num_threads=1)
     assert make_maze_env(config).duration == config.training_duration
     assert make_maze_env(config, layouts=[MazeLayout((Straight(0.2),), start=(0.5, 0.0))]).duration == config.duration
+
+
+@variants
+def test_a_policy_does_to_the_right_what_it_does_to_the_left(variant, policies):
+    policy = policies[variant]
+    env = policy.make_env(num_envs=4, seed=0, num_threads=1)
+    here = env.reset().select(*policy.actor.in_keys)
+    twist = torch.randn(4, 6)
+    here["heading_twist"], here["heading_wrench"] = twist, 3 * twist.roll(1, 0)
+    # Seen in a mirror, what points left points right; what turns about the other axes turns round.
+    sign = torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+    there = here.clone()
+    for key in ("heading_twist", "heading_wrench"):
+        there[key] = sign * here[key]
+    left, right = (policy.actor.get_dist(td).mean.unflatten(-1, (3, -1)) for td in (here, there))
+    torch.testing.assert_close(right, left * sign[:3].unsqueeze(-1))
+    assert left[:, 1].abs().max() > 1e-6
+    env.close()
