@@ -19,6 +19,7 @@ from study_runs import Run, curves_csv
 
 from ppt_rl.envs import paper_layout
 from ppt_rl.training import distribution, fit_maze_prior, record_episodes, summarise
+from ppt_rl.training.evaluation import interval
 from ppt_rl.training.logs import write_bytes_atomically, write_text_atomically
 from ppt_rl.training.maze_plots import plot_layout, plot_rollouts
 from ppt_rl.training.study_plots import plot_boxes, plot_curves, plot_promp
@@ -36,6 +37,8 @@ _PAPER = {
     "contact_continuity": (0.74, 0.48),
     "progress": (0.70, 0.76),
 }
+#: What is compared maze by maze.
+_COMPARED = ("success", "jerk_rms", "wrench_p95", "contact_continuity", "seconds")
 _BOXES = {"jerk_rms": "jerk RMS [m/s³]", "wrench_p95": "P95 force [N]", "seconds": "time [s]"}
 #: A second low-pass, for the metric of jerk alone [Hz]: the paper names none, and jerk hangs on it.
 _SLOW_CUTOFF, _SLOW_MAZES = 5.0, 32
@@ -117,11 +120,10 @@ def write_maze_report(results: Path, runs: Sequence[Run]) -> None:
 
 
 def _tables(groups: dict[str, list[Run]]) -> tuple[str, dict[str, Any]]:
-    pooled = {name: _pooled([run.episodes() for run in runs]) for name, runs in groups.items()}
+    tables = {name: [run.episodes() for run in runs] for name, runs in groups.items()}
     first = next(iter(groups.values()))[0]
-    for label in BASELINES:
-        if (first.results / f"{_file(label)}.csv.gz").exists():
-            pooled[label] = first.episodes(_file(label))
+    tables |= {b: [first.episodes(_file(b))] for b in BASELINES if (first.results / f"{_file(b)}.csv.gz").exists()}
+    pooled = {name: _pooled(parts) for name, parts in tables.items()}
     lines = [
         "| | paper, real robot, PPT / ST | " + " | ".join(pooled) + " |", "|---" * (2 + len(pooled)) + "|",
     ]  # fmt: skip
@@ -146,11 +148,34 @@ Student's).
 
 {chr(10).join(lines)}
 
+{_differences(tables)}
+
 By seed:
 
 {_by_seed(groups)}
 """
     return text, numbers
+
+
+def _differences(tables: dict[str, list[dict[str, Array]]]) -> str:
+    """The first one less each of the others, maze by maze, every maze's mean over the seeds."""
+    means = {
+        name: {metric: np.mean([part[metric] for part in parts], 0) for metric in _COMPARED}
+        for name, parts in tables.items()
+    }
+    (first, ours), *others = means.items()
+    lines = [
+        f"{first} less the others in the same maze, mean over mazes (95 % interval, Student's):", "",
+        "| | " + " | ".join(name for name, _ in others) + " |", "|---" * (1 + len(others)) + "|",
+    ]  # fmt: skip
+    for metric in _COMPARED:
+        cells = []
+        for _, theirs in others:
+            gap = ours[metric] - theirs[metric]
+            low, high = interval(gap, is_rate=False)
+            cells.append(f"{gap.mean():+.3f} ({low:+.3f}, {high:+.3f})")
+        lines.append(f"| {metric} [{COLUMNS[metric]}] | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 def _pooled(tables: Sequence[dict[str, Array]]) -> dict[str, Array]:
