@@ -5,6 +5,7 @@ from torchrl.envs import Compose, StepCounter, TransformedEnv, UnaryTransform
 
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.transforms import MacroStepTransform
+from tests.transforms.mocks import MockArmEnv
 
 
 def interrupted(after: int) -> TransformedEnv:
@@ -27,3 +28,24 @@ def test_a_chunk_that_interrupts_every_row_stops_one_step_later_and_the_next_goe
         tensordict = env.step_mdp(tensordict)
     env.close()
     plain.close()
+
+
+def test_a_row_that_waits_beside_one_whose_episode_is_over_keeps_its_state_and_goes_on_from_there() -> None:
+    late = UnaryTransform(["count"], ["late"], fn=lambda count: count == 3)
+    base = MockArmEnv((2,), horizons=(2, 100))
+    env = TransformedEnv(base, Compose(late, MacroStepTransform(5, interrupt_key="late")))
+    by_hand = TransformedEnv(MockArmEnv((2,), horizons=(100,)), late.clone())
+    chunk = torch.linspace(-1.0, 1.0, 70).reshape(2, 5, 7)
+    tensordict, plain = env.reset(), by_hand.reset()
+    tensordict = env.step(tensordict.set("action", chunk.clone()))["next"]
+    assert tensordict["control_steps"].flatten().tolist() == [2, 3]
+    assert tensordict["done"].flatten().tolist() == [True, False]
+    reward = torch.zeros(2, 1)
+    for step in range(3):
+        plain = by_hand.step(plain.set("action", chunk[:, step].clone()))["next"]
+        reward += plain["reward"] * torch.tensor([[step < 2], [True]])
+        row = 0 if step == 1 else 1 if step == 2 else None
+        if row is not None:
+            for key in ("count", "pose", "push"):
+                torch.testing.assert_close(tensordict[key][row], plain[key][row], rtol=0.0, atol=0.0)
+    torch.testing.assert_close(tensordict["reward"], reward)
