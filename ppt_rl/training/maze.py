@@ -12,6 +12,7 @@ from torch import nn
 from torchrl.envs import TransformedEnv
 
 from ppt_rl.envs.maze import PandaMazeEnv
+from ppt_rl.envs.maze_episode import MazeRewards
 from ppt_rl.envs.models import MazeLayout, MazeRanges
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.actor_critic import Mirror
@@ -117,6 +118,7 @@ class StepWiseMazeConfig(MazeConfig):
     """Options of the maze recipes whose policy acts on Cartesian velocity.
 
     Attributes:
+        ppo: settings of PPO, with a horizon of two seconds: it starts from a tool that stands still.
         max_velocity: velocity of an action of 1 ahead and to the left [m/s].
         max_rise: velocity of an action of 1 upwards [m/s].
         max_lead: farthest the reference may be from the tool on the map [m].
@@ -129,6 +131,9 @@ class StepWiseMazeConfig(MazeConfig):
     max_lead: float = 0.02
     initial_scale: float = 0.1
     batch_steps: int = 64
+    ppo: PPOConfig = field(
+        default_factory=lambda: PPOConfig(total_control_steps=614_400, max_learning_rate=5e-4, gamma=0.995)
+    )
 
     @property
     def velocity(self) -> tuple[float, float, float]:
@@ -149,6 +154,7 @@ def make_maze_env(
     audit: bool = False,
     ranges: MazeRanges | None = None,
     layouts: Sequence[MazeLayout] = (),
+    rewards: MazeRewards | None = None,
 ) -> PandaMazeEnv:
     """The bare environment of a maze recipe: straight corridors to train in, or mazes to be tested in.
 
@@ -159,6 +165,7 @@ def make_maze_env(
         audit: whether power and work are measured at the physics' rate too.
         ranges: of the mazes of the test; None makes the straight corridors of training.
         layouts: mazes to take in turn instead.
+        rewards: weights of the reward groups; by default those that PPT learns from.
 
     Returns:
         The environment.
@@ -170,6 +177,7 @@ def make_maze_env(
         "num_threads": config.num_threads or None,
         "seed": config.seed if seed is None else seed,
         "audit": audit,
+        "rewards": rewards,
     }
     if layouts:
         return PandaMazeEnv.of(layouts, duration=config.duration, **common)
