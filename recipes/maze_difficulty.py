@@ -116,11 +116,11 @@ def _actors(run: Config) -> Iterator[tuple[str, Callable[..., Any], Any]]:
         yield name if variants.count(policy.variant) == 1 else f"{name}, {path}", policy.make_env, policy.actor
     if run.baseline:
         config = policies[0].config
-        yield (
-            "wall follower",
-            lambda **where: make_follower_env(config, make_maze_env(config, **where)),
-            make_follower(config),
-        )
+
+        def make_env(**where: Any) -> Any:
+            return make_follower_env(config, make_maze_env(config, **where))
+
+        yield "wall follower", make_env, make_follower(config)
 
 
 if __name__ == "__main__":

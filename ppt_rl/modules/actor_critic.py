@@ -135,11 +135,11 @@ def make_actor(
         initial_scale: standard deviation at the start, in units of the action.
         mirror: a symmetry of the task; None for none.
 
-    Raises:
-        ValueError: if the mirror does not fit.
-
     Returns:
         The actor. Its statistics of the inputs are set by :func:`update_input_norm`.
+
+    Raises:
+        ValueError: if the mirror does not fit.
     """
     head = AddStateIndependentNormalScale(action_size, scale_lb=1e-3, init_value=math.log(initial_scale))
     network = _Network(in_size, action_size, head, mirror)

@@ -141,7 +141,7 @@ def test_a_wall_that_has_turned_is_new_and_the_via_points_along_the_old_one_are_
     assert steps["via_mask"].sum(-1).flatten().tolist() == [1] * 5 + [2] * 5 + [3] * 2 + [1] * 2
     along = steps["via_position"][0, -1] - steps["pose"][0, 12, :3]
     way = torch.tensor([math.cos(by), math.sin(by)], dtype=torch.float64)
-    offset = math.copysign(OFFSET, 1.0) * torch.tensor([-math.sin(by), math.cos(by)], dtype=torch.float64)
+    offset = OFFSET * torch.tensor([-math.sin(by), math.cos(by)], dtype=torch.float64)
     kept = steps["via_mask"][0, -1]
     assert_close(along[kept][0, :2], SPEED * LOOKAHEAD * way - offset, rtol=0.0, atol=1e-8)
 
