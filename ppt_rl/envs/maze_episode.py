@@ -60,8 +60,8 @@ class MazeRewards:
 
     progress: float = 1.0
     success: float = 1.0
-    free_space: float = 10.0
-    cruise: float = 0.057
+    free_space: float = 20.0
+    cruise: float = 0.0545
     contact: float = 12.0
     force_scale: float = 4.0
     jolt: float = 5.0

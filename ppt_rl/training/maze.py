@@ -89,7 +89,7 @@ class RecedingConfig(MazeConfig):
         residual_left: to the left [m].
         residual_up: upwards [m].
         max_lead: how far ahead of the tool a primitive may begin [m].
-        max_slip: how much faster or slower than a tool in contact it may begin across the wall [m/s].
+        max_slip: how much faster or slower than the tool it may begin across wall and floor [m/s].
         replan_on_contact: whether a wall that is newly felt, or has turned, ends a chunk early.
         initial_scale: standard deviation of the untrained policy, in residuals [-].
         batch_steps: policy steps of every environment between two updates.
@@ -102,7 +102,7 @@ class RecedingConfig(MazeConfig):
     residual_left: float = 0.01
     residual_up: float = 0.002
     max_lead: float = 0.006
-    max_slip: float = 0.005
+    max_slip: float = 0.0025
     replan_on_contact: bool = True
     initial_scale: float = 0.1
     batch_steps: int = 40

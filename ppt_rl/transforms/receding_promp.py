@@ -31,14 +31,16 @@ class RecedingProMPTransform(ProMPTransform):
     ``replan_steps`` are executed, or fewer where the macro step is interrupted, then the next one takes over,
     continuous in reference and velocity. A blocked tool does not let the reference run away: the frame's
     origin is at most the lead ``l`` from the tool, and the primitive leads from the old reference to where it would be
-    from there. Where the tool touches a wall (observation ``contact``) of tangent ``t`` and normal ``n``, the wall has
-    turned the tool within milliseconds, and the reference turns with it: on the map the primitive begins at
+    from there. What the tool touches has turned it within milliseconds, and the reference turns with it. With
+    ``near(a, b) = a + clip(b - a, -s, s)`` and a slip ``s``, the primitive begins, at a wall (observation ``contact``)
+    of tangent ``t`` and normal ``n`` and everywhere on the floor, at
 
-    .. math:: \dot y_0' = |\dot y_0|\, t + \big(\dot x \cdot n
-        + \mathrm{clip}((\dot y_0 - \dot x) \cdot n,\ -s,\ s)\big)\, n
+    .. math:: \dot y_{0,xy}' = |\dot y_{0,xy}|\, t + \mathrm{near}(\dot x \cdot n,\ \dot y_0 \cdot n)\, n, \qquad
+        \dot y_{0,z}' = \mathrm{near}(\dot x_z,\ \dot y_{0,z})
 
-    as fast as before along the wall, and across it at most the slip ``s`` faster than the tool, which is not pressed on
-    the way it wanted to go. Without ``s``, or without contact, the velocity is continuous as well.
+    as fast as before along the wall, and across wall and floor at most the slip faster or slower than the tool, which
+    is not pressed on the way it wanted to go, nor into a ramp. Away from walls ``xy`` is continuous in velocity too,
+    and without ``s`` everything is.
 
     State and observations as for :class:`ProMPTransform`; ``reference_position`` and ``reference_velocity`` are in
     world coordinates, ``weights`` in the tool's frame, and ``phase`` is where the last primitive was left.
@@ -49,8 +51,8 @@ class RecedingProMPTransform(ProMPTransform):
         residual_scale: one number, or three: how far a residual of 1 moves a weight ahead, to the left and up [m].
         max_lead: l, three numbers: how far ahead, to the left and up of the tool a primitive may begin [m]. Zero begins
             at the tool itself.
-        max_slip: s, how much faster or slower than a tool in contact a primitive may begin across the wall [m/s]; None
-            for no limit.
+        max_slip: s, how much faster or slower than the tool a primitive may begin across wall and floor [m/s]; None for
+            no limit.
         replan_steps: control steps from one policy step to the next.
         dt: control step [s].
         action_key: the action: residual outside, references towards the environment.
@@ -110,16 +112,18 @@ class RecedingProMPTransform(ProMPTransform):
         return phase, to_heading(position - origin, heading), to_heading(self._turned(tensordict, velocity), heading)
 
     def _turned(self, tensordict: TensorDictBase, velocity: Tensor) -> Tensor:
-        """Velocity to begin at, world: where the tool touches a wall, along it."""
+        """Velocity to begin at, world: along what the tool touches."""
         if self.max_slip is None:
             return velocity
         twist, contact, tangent = self._require(tensordict, *self._wall_keys)
         normal = torch.stack([-tangent[..., 1], tangent[..., 0]], -1)
-        tool, wanted = ((v[..., :2] * normal).sum(-1, keepdim=True) for v in (twist, velocity))
-        across = tool + (wanted - tool).clamp(-self.max_slip, self.max_slip)
+        tool, wanted = (
+            torch.cat([(v[..., :2] * normal).sum(-1, keepdim=True), v[..., 2:3]], -1) for v in (twist, velocity)
+        )
+        across, vertical = (tool + (wanted - tool).clamp(-self.max_slip, self.max_slip)).split(1, -1)
         along = torch.linalg.vector_norm(velocity[..., :2], dim=-1, keepdim=True)
-        turned = torch.cat([along * tangent + across * normal, velocity[..., 2:]], -1)
-        return torch.where(contact, turned, velocity)
+        on_map = torch.where(contact, along * tangent + across * normal, velocity[..., :2])
+        return torch.cat([on_map, vertical], -1)
 
     def _placed(self, tensordict: TensorDictBase, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
         origin, heading = (value.unsqueeze(-2) for value in self._frame(tensordict))

@@ -137,16 +137,29 @@ def touching(
 
 
 def test_in_contact_a_primitive_begins_along_the_wall_as_fast_as_before_and_across_it_near_the_tool() -> None:
-    velocity = torch.tensor([[0.04, 0.03, -0.01], [0.06, 0.002, 0.03]], dtype=F64)
+    velocity = torch.tensor([[0.04, 0.03, 0.001], [0.06, 0.002, -0.001]], dtype=F64)
     twist = torch.tensor([[0.01, 0.001, 0.0], [0.048, 0.0, 0.0]], dtype=F64)
-    expected = torch.tensor([[0.05, 0.006, -0.01], [0.060033, 0.002, 0.03]], dtype=F64)
+    expected = torch.tensor([[0.05, 0.006, 0.001], [0.060033, 0.002, -0.001]], dtype=F64)
     assert_close(touching(0.005, velocity, twist), expected, rtol=0.0, atol=2e-6)
 
 
-@pytest.mark.parametrize(("slip", "contact"), [(None, True), (0.005, False)])
-def test_without_contact_or_limit_the_velocity_of_the_reference_goes_on(slip: float | None, contact: bool) -> None:
+@pytest.mark.parametrize("contact", [True, False])
+def test_a_primitive_begins_to_climb_and_to_descend_as_the_tool_does(contact: bool) -> None:
+    velocity = torch.tensor([[0.05, 0.0, 0.0], [0.05, 0.0, -0.03]], dtype=F64)
+    twist = torch.tensor([[0.05, 0.0, 0.02], [0.05, 0.0, -0.01]], dtype=F64)
+    expected = torch.tensor([[0.05, 0.0, 0.015], [0.05, 0.0, -0.015]], dtype=F64)
+    assert_close(touching(0.005, velocity, twist, contact=contact), expected, rtol=0.0, atol=2e-6)
+
+
+def test_away_from_walls_the_velocity_of_the_reference_goes_on_on_the_map() -> None:
     velocity, twist = 0.05 * normal(2, 3), 0.05 * normal(2, 3)
-    assert_close(touching(slip, velocity, twist, contact=contact), velocity, rtol=0.0, atol=1e-6)
+    begun = touching(0.005, velocity, twist, contact=False)
+    assert_close(begun[..., :2], velocity[..., :2], rtol=0.0, atol=1e-6)
+
+
+def test_without_a_limit_of_slip_all_of_the_velocity_goes_on() -> None:
+    velocity, twist = 0.05 * normal(2, 3), 0.05 * normal(2, 3)
+    assert_close(touching(None, velocity, twist), velocity, rtol=0.0, atol=1e-6)
 
 
 def test_a_slip_without_the_measured_twist_is_refused_by_the_key() -> None:
