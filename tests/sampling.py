@@ -29,3 +29,9 @@ def random_joint_positions(*shape: int, seed: int = 0) -> Tensor:
 def normal(*shape: int, seed: int = 0) -> Tensor:
     """Standard normal numbers, float64."""
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def random_cov(*batch: int, size: int, scale: float = 1.0, seed: int = 0) -> Tensor:
+    """Positive definite matrices ``(*batch, size, size)``."""
+    root = normal(*batch, size, size, seed=seed)
+    return scale * (root @ root.mT / size + 0.1 * torch.eye(size, dtype=torch.float64))
