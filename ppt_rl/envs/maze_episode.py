@@ -61,7 +61,7 @@ class MazeRewards:
     progress: float = 1.0
     success: float = 1.0
     free_space: float = 20.0
-    cruise: float = 0.0545
+    cruise: float = 0.0565
     contact: float = 12.0
     force_scale: float = 4.0
     jolt: float = 5.0

@@ -32,8 +32,8 @@ class RecedingProMPTransform(ProMPTransform):
     continuous in reference and velocity. A blocked tool does not let the reference run away: the frame's
     origin is at most the lead ``l`` from the tool, and the primitive leads from the old reference to where it would be
     from there. What the tool touches has turned it within milliseconds, and the reference turns with it. With
-    ``near(a, b) = a + clip(b - a, -s, s)`` and a slip ``s``, the primitive begins, at a wall (observation ``contact``)
-    of tangent ``t`` and normal ``n`` and everywhere on the floor, at
+    ``near(a, b) = a + clip(b - a, -s, s)`` and a slip ``s``, the primitive begins, on the map where a wall is touched
+    (observation ``contact``, tangent ``t``, normal ``n``), and vertically everywhere, as there is always a floor, at
 
     .. math:: \dot y_{0,xy}' = |\dot y_{0,xy}|\, t + \mathrm{near}(\dot x \cdot n,\ \dot y_0 \cdot n)\, n, \qquad
         \dot y_{0,z}' = \mathrm{near}(\dot x_z,\ \dot y_{0,z})
