@@ -46,10 +46,10 @@ def _friction(friction: float) -> MazeRanges:
 
 #: Quantity to what makes mazes of it, the values that are tried, and the range of the test mazes.
 SWEEPS: dict[str, tuple[Callable[[float], MazeRanges], Sequence[float], tuple[float, float]]] = {
-    "turns [degrees]": (_turn, (0, 15, 30, 45, 60), (20, 45)),
-    "width [mm]": (_width, (45, 50, 55, 60), (50, 60)),
-    "rise [cm]": (_rise, (0, 2, 4, 6), (1, 4)),
-    "friction [-]": (_friction, (0.1, 0.25, 0.4, 0.6, 0.8), (0.1, 0.4)),
+    "turns [degrees]": (_turn, (0, 15, 30, 45, 60, 75), (20, 45)),
+    "width [mm]": (_width, (30, 35, 40, 45, 50, 55, 60), (50, 60)),
+    "rise [cm]": (_rise, (0, 2, 4, 6, 8, 10), (1, 4)),
+    "friction [-]": (_friction, (0.1, 0.25, 0.4, 0.6, 0.8, 1.0), (0.1, 0.4)),
 }
 
 
