@@ -34,7 +34,7 @@ from ppt_rl.transforms import (
 )
 
 VARIANT = "st_maze"
-#: Weights that reward setting off: with PPT's, one of two policies crept in the mazes (with these one floats instead).
+#: Weights that reward setting off: with PPT's former ones, one of two policies crept (with these one floats instead).
 REWARDS = MazeRewards(progress=3.0, free_space=2.0, cruise=0.06, contact=3.0)
 
 
