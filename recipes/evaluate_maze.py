@@ -6,7 +6,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +20,7 @@ from registry import Policy, load_policy
 from ppt_rl.envs import MazeLayout, MazeRanges
 from ppt_rl.training import (
     REPORTED,
+    MazeConfig,
     ZeroPolicy,
     distribution,
     make_follower,
@@ -52,6 +54,7 @@ class Config:
         num_threads: physics threads; 0 takes one per CPU.
         cutoff: of the low-pass in the metrics of jerk and force [Hz].
         baseline: add rows for the reference alone (the residual set to zero) and for the wall follower.
+        follower_speed: of that wall follower [m/s]: slower is gentler, so compare at equal time.
         json: end with one line of JSON: the metrics of the first row.
         video: write a video of the first mazes here (.mp4), from two cameras.
         film: episodes in the video.
@@ -66,6 +69,7 @@ class Config:
     num_threads: int = 0
     cutoff: float = 10.0
     baseline: bool = False
+    follower_speed: float = MazeConfig.follower_speed
     json: bool = False
     video: Path | None = None
     film: int = 1
@@ -76,6 +80,8 @@ class Config:
         for name in ("mazes", "film"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected at least 1.")
+        if not 0 < self.follower_speed < math.inf:
+            raise ValueError(f"follower_speed is {self.follower_speed}; expected a speed above 0 m/s.")
 
 
 def evaluate(policy: Policy, run: Config) -> dict[str, Rows]:
@@ -92,7 +98,7 @@ def evaluate(policy: Policy, run: Config) -> dict[str, Rows]:
         actors[BASELINES[0]] = ZeroPolicy(policy.actor)
     rows = {name: _rows(policy.make_env(**where), actor, count) for name, actor in actors.items()}
     if run.baseline:
-        config = policy.config
+        config = replace(policy.config, follower_speed=run.follower_speed)
         rows[BASELINES[1]] = _rows(
             make_follower_env(config, make_maze_env(config, **where)), make_follower(config), count
         )

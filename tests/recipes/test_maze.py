@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -112,6 +113,21 @@ def test_the_evaluation_puts_the_baselines_into_the_same_mazes(finished, tmp_pat
     assert list(rows) == ["ppt_maze", "reference alone", "wall follower"]
     assert set(rows["wall follower"]) == set(evaluate_maze.COLUMNS)
     assert "wall follower" in capsys.readouterr().out
+
+
+def test_a_slower_follower_leaves_the_policy_alone(finished):
+    policy = load_policy(finished.planned()[0].run_dir)
+    setup = evaluate_maze.Config(Path(), mazes=2, num_envs=2, num_threads=1, baseline=True, follower_speed=0.02)
+    slow, usual = (evaluate_maze.evaluate(policy, run) for run in (setup, replace(setup, follower_speed=0.055)))
+    assert (slow["wall follower"]["progress"] < usual["wall follower"]["progress"]).all()
+    for name in ("ppt_maze", "reference alone"):
+        assert (slow[name]["jerk_rms"] == usual[name]["jerk_rms"]).all()
+
+
+@pytest.mark.parametrize("speed", [0.0, -0.05, math.nan, math.inf])
+def test_an_impossible_speed_of_the_follower_is_refused(speed):
+    with pytest.raises(ValueError, match=r"follower_speed is .*; expected a speed above 0 m/s"):
+        evaluate_maze.Config(Path(), follower_speed=speed)
 
 
 def test_a_maze_of_ones_own_is_evaluated_and_filmed(finished, tmp_path):
