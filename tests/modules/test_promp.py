@@ -7,20 +7,12 @@ from torch.testing import assert_close
 
 from ppt_rl.functional.promp import Gaussian, basis, unvec, vec
 from ppt_rl.modules import ProMP
+from tests.modules.conftest import DURATION, SIZE, D, K
 from tests.sampling import normal, random_cov
 
 F64 = torch.float64
-K, D, M, DURATION = 6, 3, 4, 2.5
-SIZE = K * D
+M = 4
 TIGHT = {"rtol": 0.0, "atol": 1e-12}
-
-
-@pytest.fixture
-def promp() -> ProMP:
-    module = ProMP(K, D, DURATION).double()
-    module.weights_mean.copy_(normal(K, D, seed=1))
-    module.weights_cov.copy_(random_cov(size=SIZE, seed=2))
-    return module
 
 
 def via_points(*batch: int, seed: int = 0) -> dict[str, Tensor]:

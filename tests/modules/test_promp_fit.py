@@ -6,19 +6,10 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from ppt_rl.modules import ProMP
-from tests.sampling import normal, random_cov
+from tests.modules.conftest import DURATION, D, K
+from tests.sampling import normal
 
 F64 = torch.float64
-K, D, DURATION = 6, 3, 2.5
-SIZE = K * D
-
-
-@pytest.fixture
-def promp() -> ProMP:
-    module = ProMP(K, D, DURATION).double()
-    module.weights_mean.copy_(normal(K, D, seed=1))
-    module.weights_cov.copy_(random_cov(size=SIZE, seed=2))
-    return module
 
 
 def fitted_to_samples(promp: ProMP, lengths: list[int], noise: float) -> ProMP:
