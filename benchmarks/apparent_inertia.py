@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from ppt_rl.arms.panda import HOME
 from ppt_rl.envs import PandaEnv
 from ppt_rl.envs.mujoco_imports import mujoco
 from ppt_rl.modules import PandaKinematics
-from ppt_rl.modules.panda import HOME
 
 
 def main(samples: int = 500) -> None:

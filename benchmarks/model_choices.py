@@ -15,7 +15,9 @@ import torch
 from torchrl.envs import TransformedEnv
 
 from ppt_rl.envs.mujoco_imports import mujoco
-from ppt_rl.training import fit_push_prior, record_episodes, run_cli
+from ppt_rl.evaluation import record_episodes
+from ppt_rl.tasks.push import fit_push_prior
+from ppt_rl.training import run_cli
 from ppt_rl.transforms import JointTorqueTransform
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipes"))

@@ -24,7 +24,8 @@ from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType
 
 from ppt_rl.envs.mujoco_imports import mujoco
-from ppt_rl.training import fit_push_prior, run_cli
+from ppt_rl.tasks.push import fit_push_prior
+from ppt_rl.training import run_cli
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipes"))
 

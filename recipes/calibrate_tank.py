@@ -15,9 +15,10 @@ import torch
 import tyro
 from registry import load_policy
 
-from ppt_rl.training import run_cli, run_episodes
+from ppt_rl.evaluation import run_episodes
+from ppt_rl.evaluation.figures import plot_calibration
+from ppt_rl.training import run_cli
 from ppt_rl.training.logs import write_text_atomically
-from ppt_rl.training.plots import plot_calibration
 
 #: Limits that no robot reaches: a tank that never closes.
 _NO_LIMIT = 1e6

@@ -18,19 +18,19 @@ import tyro
 from registry import Policy, load_policy
 from tensordict import TensorDictBase
 
-from ppt_rl.training import (
+from ppt_rl.evaluation import (
     POWER_AND_WORK,
     REPORTED,
     ZeroPolicy,
     distribution,
     record_episodes,
-    run_cli,
     run_episodes,
     summarise,
 )
+from ppt_rl.evaluation.figures import plot_push_episode, plot_training
+from ppt_rl.evaluation.video import episode_frames, write_video
+from ppt_rl.training import run_cli
 from ppt_rl.training.logs import write_text_atomically
-from ppt_rl.training.plots import plot_push_episode, plot_training
-from ppt_rl.training.video import episode_frames, write_video
 
 _TRACE = ("joint_position", "pose", "box_pose", "power")
 

@@ -18,21 +18,11 @@ from evaluate import as_csv, audit_table
 from registry import Policy, load_policy
 
 from ppt_rl.envs import MazeLayout, MazeRanges
-from ppt_rl.training import (
-    REPORTED,
-    MazeConfig,
-    ZeroPolicy,
-    distribution,
-    make_follower,
-    make_follower_env,
-    make_maze_env,
-    record_episodes,
-    run_cli,
-    run_episodes,
-    summarise,
-)
+from ppt_rl.evaluation import REPORTED, ZeroPolicy, distribution, record_episodes, run_episodes, summarise
+from ppt_rl.evaluation.video import episode_frames, write_video
+from ppt_rl.tasks.maze import MazeConfig, make_follower, make_follower_env, make_maze_env
+from ppt_rl.training import run_cli
 from ppt_rl.training.logs import write_text_atomically
-from ppt_rl.training.video import episode_frames, write_video
 
 Rows = dict[str, np.ndarray]
 #: Who else acts, for comparison.

@@ -18,10 +18,12 @@ import tyro
 from registry import load_policy
 
 from ppt_rl.envs import MazeLayout, MazeRanges, random_maze
-from ppt_rl.training import make_follower, make_follower_env, make_maze_env, run_cli, run_episodes
-from ppt_rl.training.evaluation import interval
+from ppt_rl.evaluation import run_episodes
+from ppt_rl.evaluation.episodes import interval
+from ppt_rl.tasks.maze import make_follower, make_follower_env, make_maze_env
+from ppt_rl.tasks.maze.figures import plot_difficulty
+from ppt_rl.training import run_cli
 from ppt_rl.training.logs import write_text_atomically
-from ppt_rl.training.maze_plots import plot_difficulty
 
 _USUAL = MazeRanges()
 #: Mazes that are driven through together.

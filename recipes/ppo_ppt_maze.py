@@ -14,18 +14,17 @@ from torchrl.envs import Compose, TransformedEnv
 
 from ppt_rl.envs import MazeLayout, MazeRanges
 from ppt_rl.modules import PandaKinematics, ProMP
-from ppt_rl.training import (
+from ppt_rl.tasks import make_controller, prepare_torch
+from ppt_rl.tasks.maze import (
     RecedingConfig,
     fit_maze_prior,
-    make_controller,
     make_maze_env,
     make_maze_policy,
     make_maze_promp,
     maze_metrics,
     maze_space,
-    prepare_torch,
-    run_recipe,
 )
+from ppt_rl.training import run_recipe
 from ppt_rl.transforms import (
     ContactViaPointTransform,
     EnergyTankTransform,

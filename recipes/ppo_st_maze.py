@@ -14,16 +14,9 @@ from torchrl.envs import Compose, TransformedEnv
 
 from ppt_rl.envs import MazeLayout, MazeRanges, MazeRewards
 from ppt_rl.modules import PandaKinematics
-from ppt_rl.training import (
-    StepWiseMazeConfig,
-    make_controller,
-    make_maze_env,
-    make_maze_policy,
-    maze_metrics,
-    maze_space,
-    prepare_torch,
-    run_recipe,
-)
+from ppt_rl.tasks import make_controller, prepare_torch
+from ppt_rl.tasks.maze import StepWiseMazeConfig, make_maze_env, make_maze_policy, maze_metrics, maze_space
+from ppt_rl.training import run_recipe
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     EnergyTankTransform,

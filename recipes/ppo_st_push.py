@@ -12,16 +12,9 @@ from torch import nn
 from torchrl.envs import Compose, StepCounter, TransformedEnv, UnaryTransform
 
 from ppt_rl.modules import PandaKinematics, TaskSpace
-from ppt_rl.training import (
-    PUSH_AXES,
-    StepWiseConfig,
-    episode_metrics,
-    make_controller,
-    make_push_env,
-    make_push_policy,
-    prepare_torch,
-    run_recipe,
-)
+from ppt_rl.tasks import episode_metrics, make_controller, prepare_torch
+from ppt_rl.tasks.push import PUSH_AXES, StepWiseConfig, make_push_env, make_push_policy
+from ppt_rl.training import run_recipe
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     EnergyTankTransform,

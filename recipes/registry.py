@@ -12,18 +12,10 @@ from torch import nn
 from torchrl.envs import ExcludeTransform, TransformedEnv
 
 from ppt_rl.envs import MazeLayout, MazeRanges
-from ppt_rl.training import (
-    MAZE_PRIVILEGED,
-    PRIVILEGED,
-    CheckpointMismatch,
-    PPOConfig,
-    checkpoint_info,
-    find_checkpoint,
-    is_pretrained,
-    load_checkpoint,
-    load_pretrained,
-    pretrained_card,
-)
+from ppt_rl.evaluation import is_pretrained, load_pretrained, pretrained_card
+from ppt_rl.tasks.maze import MAZE_PRIVILEGED
+from ppt_rl.tasks.push import PRIVILEGED
+from ppt_rl.training import CheckpointMismatch, PPOConfig, checkpoint_info, find_checkpoint, load_checkpoint
 
 #: Variants and the recipes that build their chains, in the order of the paper's tables.
 RECIPES = {

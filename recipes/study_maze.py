@@ -19,11 +19,12 @@ from registry import Policy, recipe_of, restored_config
 from study_runs import Run, curves_csv
 
 from ppt_rl.envs import paper_layout
-from ppt_rl.training import distribution, fit_maze_prior, record_episodes, summarise
-from ppt_rl.training.evaluation import interval
+from ppt_rl.evaluation import distribution, record_episodes, summarise
+from ppt_rl.evaluation.episodes import interval
+from ppt_rl.evaluation.study_figures import plot_boxes, plot_curves, plot_promp
+from ppt_rl.tasks.maze import fit_maze_prior
+from ppt_rl.tasks.maze.figures import plot_layout, plot_rollouts
 from ppt_rl.training.logs import write_bytes_atomically, write_text_atomically
-from ppt_rl.training.maze_plots import plot_layout, plot_rollouts
-from ppt_rl.training.study_plots import plot_boxes, plot_curves, plot_promp
 
 __all__ = ["save_maze_run", "write_maze_report"]
 

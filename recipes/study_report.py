@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from registry import recipe_of, restored_config
 from study_runs import RECORDED, Run
 
-from ppt_rl.training import PUSH_AXES, REPORTED, fit_push_prior
+from ppt_rl.evaluation import REPORTED
+from ppt_rl.evaluation.statistics import Claim, judge, over_seeds
+from ppt_rl.evaluation.study_figures import plot_boxes, plot_curves, plot_filmstrip, plot_promp, plot_tanks
+from ppt_rl.evaluation.video import pictures
+from ppt_rl.tasks.push import PUSH_AXES, fit_push_prior
 from ppt_rl.training.logs import write_text_atomically
-from ppt_rl.training.study import Claim, judge, over_seeds
-from ppt_rl.training.study_plots import plot_boxes, plot_curves, plot_filmstrip, plot_promp, plot_tanks
-from ppt_rl.training.video import pictures
 
 #: How the paper calls the variants, in the order of its table.
 NAMES = {"pp_push": "PP", "ppt_push": "PPT", "s_push": "S", "st_push": "ST"}

@@ -16,7 +16,7 @@ from evaluate import as_csv
 from numpy.typing import NDArray
 from registry import Policy
 
-from ppt_rl.training import distribution, record_episodes, run_episodes, save_pretrained, summarise
+from ppt_rl.evaluation import distribution, record_episodes, run_episodes, save_pretrained, summarise
 from ppt_rl.training.logs import read_scalar, versions, write_bytes_atomically, write_text_atomically
 
 _CURVES = (

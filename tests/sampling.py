@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from ppt_rl.modules.panda import JOINT_LIMITS
+from ppt_rl.arms.panda import JOINT_LIMITS
 
 
 def random_quats(*shape: int, seed: int = 0) -> Tensor:

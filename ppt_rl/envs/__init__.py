@@ -1,11 +1,13 @@
-"""Simulated Panda environments."""
+"""Simulated arms with joint torque as the action, and the physics side of each task."""
 
-from ppt_rl.envs.maze import PandaMazeEnv
-from ppt_rl.envs.maze_episode import MazeRandomisation, MazeRewards
-from ppt_rl.envs.models import (
+from ppt_rl.envs.arm import PandaEnv
+from ppt_rl.envs.maze import (
     Disc,
     MazeLayout,
+    MazeRandomisation,
     MazeRanges,
+    MazeRewards,
+    PandaMazeEnv,
     Straight,
     StraightRanges,
     Turn,
@@ -13,9 +15,7 @@ from ppt_rl.envs.models import (
     random_maze,
     random_straight,
 )
-from ppt_rl.envs.panda import PandaEnv
-from ppt_rl.envs.push import PandaPushEnv, PushRewards
-from ppt_rl.envs.push_episode import PushRandomisation
+from ppt_rl.envs.push import PandaPushEnv, PushRandomisation, PushRewards
 
 __all__ = [
     "Disc",

@@ -9,10 +9,10 @@ import torch
 from pytorch_kinematics.frame import Frame, Joint, Link
 from torch import Tensor, nn
 
+from ppt_rl.arms.panda import DH, FLANGE, JOINT_LIMITS
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.impedance import orientation_error
 from ppt_rl.functional.rotations import matrix_to_quat
-from ppt_rl.modules.panda import DH, FLANGE, JOINT_LIMITS
 
 __all__ = ["PandaKinematics"]
 

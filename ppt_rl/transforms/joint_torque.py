@@ -10,10 +10,10 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
+from ppt_rl.arms.panda import HOME, JOINT_INERTIA, TORQUE_LIMITS
 from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
 from ppt_rl.modules.kinematics import PandaKinematics
-from ppt_rl.modules.panda import HOME, JOINT_INERTIA, TORQUE_LIMITS
 from ppt_rl.transforms.base import ActionTransform, replace_leaf
 
 __all__ = ["JointTorqueTransform"]

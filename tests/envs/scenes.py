@@ -11,10 +11,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
+from ppt_rl.arms.panda import TORQUE_LIMITS
 from ppt_rl.envs import PandaEnv, PandaPushEnv
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.modules.kinematics import PandaKinematics
-from ppt_rl.modules.panda import TORQUE_LIMITS
 from ppt_rl.transforms.impedance import ImpedanceTransform
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
 

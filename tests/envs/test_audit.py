@@ -7,12 +7,12 @@ from dm_control import mjcf
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
+from ppt_rl.arms.panda import TORQUE_LIMITS
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.envs.audit import AUDITED, AuditedPhysics
 from ppt_rl.envs.models import PADDLE, table_scene
 from ppt_rl.envs.physics import PhysicsStep
 from ppt_rl.envs.readings import sensor_span
-from ppt_rl.modules.panda import TORQUE_LIMITS
 from tests.envs.scenes import act, leaves, rollout, torques
 
 F64 = torch.float64

@@ -6,12 +6,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from ppt_rl.arms.panda import HOME, JOINT_LIMITS
 from ppt_rl.envs import PandaEnv
 from ppt_rl.functional.impedance import orientation_error
 from ppt_rl.functional.rotations import quat_from_yaw, quat_multiply, quat_to_matrix, vee
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.modules.kinematics import PandaKinematics
-from ppt_rl.modules.panda import HOME, JOINT_LIMITS
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
 from tests.envs.scenes import MID_AIR, MidAirEnv, act, from_joint_positions, impedance_chain
 

@@ -6,9 +6,10 @@ import pytest
 import torch
 from dm_control import mjcf
 
+from ppt_rl.arms.panda import HOME, INERTIAL, JOINT_LIMITS, TORQUE_LIMITS
 from ppt_rl.envs import PandaEnv, PandaPushEnv, PushRandomisation
-from ppt_rl.envs.models import PADDLE, panda_model, push_scene, remove_visual_geoms, table_scene
-from ppt_rl.modules.panda import HOME, INERTIAL, JOINT_LIMITS, TORQUE_LIMITS
+from ppt_rl.envs.models import PADDLE, panda_model, remove_visual_geoms, table_scene
+from ppt_rl.envs.push.scene import push_scene
 from tests.envs.scenes import forwarded
 
 NOMINAL_MASS = {0.06: 0.050, 0.08: 0.080}

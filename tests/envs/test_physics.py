@@ -3,9 +3,9 @@ import numpy as np
 import pytest
 from dm_control import mjcf
 
-from ppt_rl.envs.models import push_scene
+from ppt_rl.arms.panda import HOME, TORQUE_LIMITS
 from ppt_rl.envs.physics import ThreadedPhysics, substeps_per_control_step
-from ppt_rl.modules.panda import HOME, TORQUE_LIMITS
+from ppt_rl.envs.push.scene import push_scene
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 SUBSTEPS = 20

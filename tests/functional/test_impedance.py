@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
+from ppt_rl.arms.panda import HOME, JOINT_INERTIA
 from ppt_rl.functional.impedance import (
     cartesian_impedance,
     critical_damping,
@@ -14,7 +15,6 @@ from ppt_rl.functional.impedance import (
 )
 from ppt_rl.functional.rotations import quat_multiply, quat_to_matrix, vee
 from ppt_rl.modules import PandaKinematics
-from ppt_rl.modules.panda import HOME, JOINT_INERTIA
 from tests.sampling import normal, random_joint_positions, random_poses, random_quats
 
 F64 = torch.float64

@@ -5,11 +5,11 @@ import pytest
 import torch
 from torch.testing import assert_close
 
+from ppt_rl.arms.panda import HOME, JOINT_LIMITS
 from ppt_rl.envs.models import PADDLE, table_scene
 from ppt_rl.envs.mujoco_imports import mjcf, mujoco
 from ppt_rl.functional.rotations import quat_conjugate, quat_from_yaw, quat_multiply, quat_to_matrix
 from ppt_rl.modules import PandaKinematics
-from ppt_rl.modules.panda import HOME, JOINT_LIMITS
 from tests.sampling import normal, random_joint_positions
 
 F32, F64 = torch.float32, torch.float64

@@ -14,7 +14,8 @@ from registry import load_policy
 from torchrl.checkpoint import Checkpoint
 
 from ppt_rl.envs.mujoco_imports import rendering_backend
-from ppt_rl.training import REPORTED, CheckpointMismatch, PPOConfig, load_checkpoint
+from ppt_rl.evaluation import REPORTED
+from ppt_rl.training import CheckpointMismatch, PPOConfig, load_checkpoint
 
 KEYS = ["success", "max_power", "jerk_rms", "wrench_p95", "overload_ratio", "contact_continuity", "progress"]
 

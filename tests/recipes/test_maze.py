@@ -17,7 +17,9 @@ from registry import RECIPES, Policy, load_policy, recipe_of
 
 from ppt_rl.envs import MazeLayout, Straight, Turn
 from ppt_rl.envs.mujoco_imports import rendering_backend
-from ppt_rl.training import CheckpointMismatch, PPOConfig, fit_maze_prior, make_maze_env, record_episodes
+from ppt_rl.evaluation import record_episodes
+from ppt_rl.tasks.maze import fit_maze_prior, make_maze_env
+from ppt_rl.training import CheckpointMismatch, PPOConfig
 
 CONTROL = ["JointTorqueTransform", "EnergyTankTransform", "ImpedanceTransform", "EpisodeMetricsTransform"]
 CHAINS = {

@@ -20,16 +20,8 @@ from torchrl.checkpoint import Checkpoint
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from ppt_rl.training import (
-    REPORTED,
-    CheckpointMismatch,
-    PPOConfig,
-    as_json,
-    checkpoint_info,
-    find_checkpoint,
-    record_episodes,
-    save_pretrained,
-)
+from ppt_rl.evaluation import REPORTED, record_episodes, save_pretrained
+from ppt_rl.training import CheckpointMismatch, PPOConfig, as_json, checkpoint_info, find_checkpoint
 from ppt_rl.training.logs import read_scalar
 
 STEPS = 20  # control steps of an episode

@@ -15,7 +15,7 @@ from registry import load_policy
 from study_runs import Run
 
 from ppt_rl.envs.mujoco_imports import rendering_backend
-from ppt_rl.training import REPORTED
+from ppt_rl.evaluation import REPORTED
 
 
 @pytest.fixture(scope="module")

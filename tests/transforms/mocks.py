@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from ppt_rl.modules.panda import HOME
+from ppt_rl.arms.panda import HOME
 
 
 class MockArmEnv(EnvBase):

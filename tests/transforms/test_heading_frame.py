@@ -12,8 +12,8 @@ from torchrl.envs import TransformedEnv
 
 from ppt_rl.envs import PandaMazeEnv
 from ppt_rl.functional.heading import from_heading, to_heading
-from ppt_rl.training.maze import maze_space
-from ppt_rl.training.wall_follower import WallFollower
+from ppt_rl.tasks.maze.config import maze_space
+from ppt_rl.tasks.maze.follower import WallFollower
 from ppt_rl.transforms import HeadingFrameTransform
 from tests.sampling import normal
 from tests.transforms.cases import sliding_env

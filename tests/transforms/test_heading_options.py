@@ -15,7 +15,7 @@ from torchrl.envs import TransformedEnv
 from ppt_rl.functional.heading import from_heading
 from ppt_rl.functional.promp import vec
 from ppt_rl.modules import TaskSpace
-from ppt_rl.training.maze import maze_space
+from ppt_rl.tasks.maze.config import maze_space
 from ppt_rl.transforms import CartesianVelocityTransform, ViaPointTransform
 from tests.sampling import normal, random_poses
 from tests.transforms.cases import ORIGIN, make_promp

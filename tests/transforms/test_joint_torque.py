@@ -4,9 +4,9 @@ import pytest
 import torch
 from torchrl.envs import TransformedEnv
 
+from ppt_rl.arms.panda import TORQUE_LIMITS
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.modules import PandaKinematics
-from ppt_rl.modules.panda import TORQUE_LIMITS
 from ppt_rl.transforms import JointTorqueTransform
 from tests.transforms.cases import push_env
 from tests.transforms.mocks import MockArmEnv, actions_for, play

@@ -12,7 +12,7 @@ from torchrl.envs import TransformedEnv
 
 from ppt_rl.functional.heading import from_heading, to_heading
 from ppt_rl.modules import ProMP, TaskSpace
-from ppt_rl.training.maze import RecedingConfig, make_maze_promp, maze_space
+from ppt_rl.tasks.maze.config import RecedingConfig, make_maze_promp, maze_space
 from ppt_rl.transforms import RecedingProMPTransform
 from tests.sampling import normal
 from tests.transforms.cases import ORIGIN

@@ -1,0 +1,202 @@
+"""Figures of a comparison: curves over seeds, boxes over episodes, the movement primitive, tanks, film strips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ppt_rl.evaluation.figures import moving_average, save_figure
+from ppt_rl.functional.promp import Gaussian
+from ppt_rl.modules.promp import ProMP
+
+__all__ = ["VARIANT_COLORS", "plot_boxes", "plot_curves", "plot_filmstrip", "plot_promp", "plot_tanks"]
+
+Array = NDArray[np.float64]
+#: One colour for each variant, told apart by the colour-blind too.
+VARIANT_COLORS = {"PP": "#e69f00", "PPT": "#0072b2", "S": "#cc79a7", "ST": "#009e73"}
+_GREY = "#8a8f98"
+
+
+def plot_curves(
+    curves: Mapping[str, Sequence[tuple[Array, Mapping[str, Array]]]],
+    path: Path,
+    *,
+    p_max: float,
+    window: int = 3,
+) -> None:
+    """Success and max power against control steps: mean over seeds and its standard error.
+
+    Args:
+        curves: by variant, for each seed the control steps ``(T,)`` and the scalars ``success`` and ``max_power``.
+        path: where the picture goes.
+        p_max: power limit to draw [W].
+        window: of the moving average [batches].
+    """
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for axes, name, factor, label in (
+        (left, "success", 100.0, "success [%]"),
+        (right, "max_power", 1.0, "max power of an episode [W]"),
+    ):
+        for variant, seeds in curves.items():
+            length = min(len(steps) for steps, _ in seeds)
+            steps = seeds[0][0][:length] / 1e6
+            smooth = np.stack([factor * moving_average(values[name][:length], window) for _, values in seeds])
+            mean, color = smooth.mean(0), VARIANT_COLORS.get(variant, _GREY)
+            count = f"{len(seeds)} seed{'s' if len(seeds) > 1 else ''}"
+            axes.plot(steps, mean, color=color, lw=2, label=f"{variant} ({count})")
+            if len(seeds) > 1:
+                error = smooth.std(0, ddof=1) / np.sqrt(len(seeds))
+                axes.fill_between(steps, mean - error, mean + error, color=color, alpha=0.2, lw=0)
+        axes.set_xlabel("control steps [million]")
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3)
+    left.set_ylim(0, 102)
+    right.set_yscale("log")
+    right.axhline(p_max, color="black", ls="--", lw=1.2, label="limit of the tank")
+    handles, names = right.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=len(names))
+    figure.suptitle(f"Training, exploring policy: mean of {window} batches, band of one standard error over seeds")
+    save_figure(figure, path)
+
+
+def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, str], path: Path) -> None:
+    """Box plots over episodes, one panel a metric: the box spans the quartiles, the whiskers 5 % to 95 %.
+
+    Args:
+        rows: by variant, arrays over episodes by metric.
+        metrics: which metrics, with their axis labels.
+        path: where the picture goes.
+    """
+    figure = Figure(figsize=(3.1 * len(metrics), 3.8), layout="constrained")
+    for axes, (name, label) in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics.items(), strict=True):
+        drawn = axes.boxplot(
+            [values[name] for values in rows.values()],
+            tick_labels=[name.replace(" ", "\n") for name in rows],
+            whis=(5, 95),
+            showfliers=False,
+            patch_artist=True,
+            widths=0.6,
+            medianprops={"color": "black"},
+        )
+        for patch, variant in zip(drawn["boxes"], rows, strict=True):
+            patch.set(facecolor=VARIANT_COLORS.get(variant, _GREY), alpha=0.7)
+        axes.set_ylabel(label)
+        medians = [np.median(values[name]) for values in rows.values()]
+        if min(medians) > 0 and max(medians) > 20 * min(medians):
+            axes.set_yscale("log")
+        else:
+            axes.set_ylim(bottom=0)
+        axes.grid(axis="y", alpha=0.3)
+    save_figure(figure, path)
+
+
+def plot_promp(
+    promp: ProMP, via: Mapping[str, Tensor] | None, path: Path, *, labels: Sequence[str], samples: int = 101
+) -> None:
+    """A movement primitive's prior, and its posterior under via-points: one panel a coordinate, +-2 sigma bands.
+
+    Args:
+        promp: the primitive.
+        via: ``via_phase`` (M,), ``via_position`` (M, D), ``via_cov`` (M, D, D) of one episode; None draws the prior.
+        path: where the picture goes.
+        labels: of the coordinates, with units.
+        samples: along the phase.
+    """
+    phase = torch.linspace(0.0, 1.0, samples, dtype=torch.float64)
+    curves = [(promp.prior, _GREY, "prior")]
+    if via is not None:
+        at, position, cov = (via[key].double() for key in ("via_phase", "via_position", "via_cov"))
+        curves.append((promp.posterior(at, position, cov), VARIANT_COLORS["PPT"], "posterior"))
+    figure = Figure(figsize=(4.2 * len(labels), 3.8), layout="constrained")
+    for dof, (axes, label) in enumerate(zip(np.atleast_1d(figure.subplots(1, len(labels))), labels, strict=True)):
+        for gaussian, color, name in curves:
+            mean, std = _marginal(promp, gaussian, phase, dof)
+            axes.plot(phase, mean, color=color, lw=2, label=f"{name}, mean")
+            axes.fill_between(phase, mean - 2 * std, mean + 2 * std, color=color, alpha=0.2, lw=0, label="±2 sigma")
+        if via is not None:
+            error = 2 * cov[:, dof, dof].sqrt()
+            axes.errorbar(at, position[:, dof], yerr=error, fmt="o", color="black", ms=5, capsize=3, label="via-points")
+        axes.set_xlabel("phase [-]")
+        axes.set_ylabel(label)
+        axes.grid(alpha=0.3)
+    handles, names = axes.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=len(names))
+    save_figure(figure, path)
+
+
+def _marginal(promp: ProMP, gaussian: Gaussian, phase: Tensor, dof: int) -> tuple[Array, Array]:
+    """Mean and standard deviation of one coordinate over the phase."""
+    basis = promp.basis(phase)[0].double()  # (T, K)
+    span = slice(dof * promp.num_basis, (dof + 1) * promp.num_basis)  # column by column, as vec
+    mean = basis @ gaussian.mean[span].double()
+    variance = torch.einsum("tk,kl,tl->t", basis, gaussian.cov[span, span].double(), basis)
+    return mean.numpy(), variance.clamp_min(0.0).sqrt().numpy()
+
+
+def plot_tanks(
+    episodes: Mapping[str, Mapping[str, Array]], path: Path, *, p_max: float, e_max: float, dt: float
+) -> None:
+    """Power, tank level and valve over an episode, one column for each.
+
+    Args:
+        episodes: by title, arrays over control steps: ``power``, ``tank_energy``, ``valve``, each ``(T, 1)``.
+        path: where the picture goes.
+        p_max: power limit [W].
+        e_max: tank capacity [J].
+        dt: control step [s].
+    """
+    figure = Figure(figsize=(4.6 * len(episodes), 6), layout="constrained")
+    grid = figure.subplots(3, len(episodes), sharex=True, sharey="row", squeeze=False)
+    lines = (
+        ("power", "power [W]", p_max, "limit"),
+        ("tank_energy", "tank level [J]", e_max, "capacity"),
+        ("valve", "valve [-]", 1.0, "open"),
+    )
+    for column, (title, episode) in enumerate(episodes.items()):
+        time = dt * np.arange(1, len(episode["power"]) + 1)
+        for axes, (key, label, limit, name) in zip(grid[:, column], lines, strict=True):
+            axes.plot(time, episode[key][:, 0], color=VARIANT_COLORS["PPT"], lw=1.5)
+            axes.axhline(limit, color="black", ls="--", lw=1.0, label=name)
+            if key == "power":
+                axes.axhline(-limit, color="black", ls="--", lw=1.0)
+            axes.grid(alpha=0.3)
+            if column == 0:
+                axes.set_ylabel(label)
+                axes.legend(loc="lower left", fontsize="small")
+        grid[0, column].set_title(title)
+        grid[2, column].set_xlabel("time [s]")
+    save_figure(figure, path)
+
+
+def plot_filmstrip(
+    strips: Mapping[str, Sequence[NDArray[np.uint8]]], times: Sequence[float], path: Path, title: str = ""
+) -> None:
+    """Pictures of episodes, one row each, times from left to right.
+
+    Args:
+        strips: by row label, pictures of one size.
+        times: of the pictures [s].
+        path: where the picture goes.
+        title: above all.
+    """
+    height, width = next(iter(strips.values()))[0].shape[:2]
+    size = 2.4
+    figure = Figure(figsize=(size * len(times), (size * height / width + 0.1) * len(strips) + 0.5))
+    grid = figure.subplots(len(strips), len(times), squeeze=False)
+    for row, (label, pictures) in enumerate(strips.items()):
+        for axes, picture, time in zip(grid[row], pictures, times, strict=True):
+            axes.imshow(picture)
+            axes.set(xticks=[], yticks=[])
+            if row == 0:
+                axes.set_title(f"{time:.1f} s", fontsize="medium")
+        grid[row, 0].set_ylabel(label)
+    figure.suptitle(title)
+    figure.tight_layout(pad=0.4)
+    save_figure(figure, path)

@@ -1,0 +1,33 @@
+"""Maze sliding as a learning task."""
+
+from ppt_rl.tasks.maze.config import (
+    MAZE_AXES,
+    MAZE_PRIVILEGED,
+    MazeConfig,
+    RecedingConfig,
+    StepWiseMazeConfig,
+    make_maze_env,
+    make_maze_policy,
+    make_maze_promp,
+    maze_metrics,
+    maze_space,
+)
+from ppt_rl.tasks.maze.follower import WallFollower
+from ppt_rl.tasks.maze.prior import fit_maze_prior, make_follower, make_follower_env
+
+__all__ = [
+    "MAZE_AXES",
+    "MAZE_PRIVILEGED",
+    "MazeConfig",
+    "RecedingConfig",
+    "StepWiseMazeConfig",
+    "WallFollower",
+    "fit_maze_prior",
+    "make_follower",
+    "make_follower_env",
+    "make_maze_env",
+    "make_maze_policy",
+    "make_maze_promp",
+    "maze_metrics",
+    "maze_space",
+]

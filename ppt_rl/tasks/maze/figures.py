@@ -1,0 +1,133 @@
+"""Figures of the maze: layouts from above and from the side, rollouts with via-points from touch, difficulty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ppt_rl.envs.maze.geometry import Corridor, build_corridor
+from ppt_rl.envs.maze.layout import MazeLayout
+from ppt_rl.evaluation.figures import save_figure
+from ppt_rl.evaluation.study_figures import VARIANT_COLORS
+
+__all__ = ["plot_difficulty", "plot_layout", "plot_rollouts"]
+
+Array = NDArray[np.float64]
+_WALL, _FLOOR, _GREY = "#3c4654", "#b9b2a3", "#8a8f98"
+
+
+def _draw_map(axes: Any, corridor: Corridor, across: int = 0, along: int = 1) -> None:
+    """Walls and centre line from above."""
+    for face in corridor.faces:
+        axes.plot(*np.stack([face.begin, face.end])[:, [along, across]].T, color=_WALL, lw=1.5)
+    axes.plot(corridor.centre[:, along], corridor.centre[:, across], color=_GREY, ls="--", lw=1, label="centre line")
+    axes.set_xlabel("y [m]")
+    axes.set_ylabel("x [m]")
+    axes.invert_xaxis()
+    axes.set_aspect("equal")
+
+
+def _draw_side(axes: Any, corridor: Corridor) -> None:
+    """Floor along y, from the side."""
+    axes.plot(corridor.centre[:, 1], corridor.centre[:, 2], color=_FLOOR, lw=3, label="floor")
+    axes.set_xlabel("y [m]")
+    axes.set_ylabel("z [m]")
+    axes.invert_xaxis()
+
+
+def plot_layout(layout: MazeLayout, path: Path) -> None:
+    """Draw a maze from above and from the side.
+
+    Args:
+        layout: the maze.
+        path: where the picture goes.
+    """
+    corridor = build_corridor(layout)
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    above, side = figure.subplots(2, 1, height_ratios=(2, 1))
+    _draw_map(above, corridor)
+    above.plot(*corridor.centre[0, [1, 0]], "o", color=VARIANT_COLORS["ST"], label="start")
+    above.plot(*corridor.centre[-1, [1, 0]], "s", color=VARIANT_COLORS["PPT"], label="end")
+    above.legend(loc="upper right", fontsize=8)
+    above.set_title(
+        f"{corridor.length:.2f} m long, {1e3 * layout.width:.0f} mm wide, friction {layout.friction:.2f}", fontsize=10
+    )
+    _draw_side(side, corridor)
+    save_figure(figure, path)
+
+
+def plot_rollouts(layout: MazeLayout, rollouts: Mapping[str, Mapping[str, Array]], path: Path) -> None:
+    """Rollouts in one maze by variant, from above and from the side, with the via-points that touch made.
+
+    Args:
+        layout: the maze.
+        rollouts: by variant: ``pose`` (N, T, 7) [m, -], ``steps`` (N,) control steps of each, and, where there are
+            any, ``via_position`` (N, T, M, 3) [m] with ``via_mask`` (N, T, M).
+        path: where the picture goes.
+    """
+    corridor = build_corridor(layout)
+    figure = Figure(figsize=(6.5 * len(rollouts), 6.5), layout="constrained")
+    panels = np.asarray(figure.subplots(2, len(rollouts), height_ratios=(2, 1), sharex="col")).reshape(2, -1)
+    for (above, side), (variant, rollout) in zip(panels.T, rollouts.items(), strict=True):
+        _draw_map(above, corridor)
+        _draw_side(side, corridor)
+        color = VARIANT_COLORS.get(variant, _GREY)
+        for row, steps in enumerate(rollout["steps"].astype(int)):
+            x, y, z = rollout["pose"][row, :steps, :3].T
+            above.plot(y, x, color=color, lw=1, alpha=0.7)
+            side.plot(y, z, color=color, lw=1, alpha=0.7)
+        points = _via_points(rollout)
+        if len(points):
+            above.plot(points[:, 1], points[:, 0], ".", color="black", ms=3, label="via-points from touch")
+            side.plot(points[:, 1], points[:, 2], ".", color="black", ms=3)
+        above.legend(loc="upper right", fontsize=8)
+        above.set_title(f"{variant}: {len(rollout['steps'])} starts; from above and from the side", fontsize=10)
+    save_figure(figure, path)
+
+
+def _via_points(rollout: Mapping[str, Array]) -> Array:
+    """``(N, 3)`` every via-point that was ever in a buffer, once."""
+    if "via_position" not in rollout:
+        return np.zeros((0, 3))
+    found = [
+        rollout["via_position"][row, :steps][rollout["via_mask"][row, :steps].astype(bool)]
+        for row, steps in enumerate(rollout["steps"].astype(int))
+    ]
+    return np.unique(np.concatenate(found).round(5), axis=0)
+
+
+def plot_difficulty(
+    curves: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float], Sequence[Sequence[float]]]]],
+    path: Path,
+    *,
+    usual: Mapping[str, tuple[float, float]],
+) -> None:
+    """Success against how hard the maze is, one panel a quantity.
+
+    Args:
+        curves: by quantity (with unit), by who acts: values, success rates [0-1] and their 95 % intervals.
+        path: where the picture goes.
+        usual: by quantity, the range of the test mazes, which is shaded.
+    """
+    figure = Figure(figsize=(3.6 * len(curves), 3.6), layout="constrained")
+    for axes, (quantity, actors) in zip(np.atleast_1d(figure.subplots(1, len(curves))), curves.items(), strict=True):
+        if quantity in usual:
+            axes.axvspan(*usual[quantity], color=_GREY, alpha=0.15, lw=0)
+        for name, (values, rates, intervals) in actors.items():
+            low, high = np.asarray(intervals, dtype=float).T
+            error = 100 * np.abs(np.stack([np.asarray(rates) - low, high - np.asarray(rates)]))
+            color = VARIANT_COLORS.get(name, _GREY)
+            rate = 100 * np.asarray(rates)
+            axes.errorbar(values, rate, yerr=error, color=color, marker="o", ms=4, capsize=2, label=name)
+        axes.set_xlabel(quantity)
+        axes.set_ylim(0, 103)
+        axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, loc="lower left")
+    figure.axes[0].set_ylabel("success [%]")
+    figure.suptitle("shaded: the range of the test mazes; bars: 95 % intervals", fontsize=9)
+    save_figure(figure, path)

@@ -1,0 +1,270 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+from torchrl.envs.utils import check_env_specs
+
+from ppt_rl.envs import MazeLayout, MazeRandomisation, MazeRanges, MazeRewards, PandaMazeEnv, StraightRanges
+from ppt_rl.envs.maze import env as maze_env
+from ppt_rl.envs.maze.geometry import build_corridor
+from ppt_rl.envs.maze.layout import Disc, Straight, Turn, paper_layout
+from tests.envs.maze.mazes import LEVEL, SHORT, drag, layouts_of, put_tool, unit
+from tests.envs.scenes import act, leaves, rollout, torques
+
+F64 = torch.float64
+FAST: dict[str, Any] = {"physics_dt": 0.002, "num_threads": 1, "seed": 0}
+Make = Callable[..., PandaMazeEnv]
+MAKES: list[Make] = [PandaMazeEnv.straight, PandaMazeEnv.mazes]
+
+
+def of_three(num_envs: int = 3, **kwargs: Any) -> PandaMazeEnv:
+    return PandaMazeEnv.of([SHORT, LEVEL, paper_layout()], num_envs, **kwargs)
+
+
+def column(value: Tensor) -> list[Any]:
+    return value.squeeze(-1).tolist()
+
+
+def at(layout: MazeLayout, along: float, aside: float = 0.0, above: float = 5e-4) -> np.ndarray:
+    """A place in a straight corridor, from its closed end, to the left of its centre line and above its floor."""
+    way = along * unit(layout.heading) + aside * unit(layout.heading + 0.5 * math.pi)
+    return np.asarray([*(layout.start + way), layout.height + above])
+
+
+# -- specs and seeds ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+@pytest.mark.parametrize("make", [*MAKES, of_three])
+def test_what_comes_back_fits_the_specs(make: Make, dtype: torch.dtype) -> None:
+    check_env_specs(make(2, duration=0.05, dtype=dtype, **FAST))
+
+
+def test_what_only_a_critic_or_a_metric_may_know_is_observed_by_name() -> None:
+    observation = PandaMazeEnv.straight(2, **FAST).reset()
+    for name in ("start_heading", "corridor_offset", "corridor_heading", "progress"):
+        assert observation[name].shape == (2, 1), name
+    assert not observation["progress"].isnan().any()
+
+
+@pytest.mark.parametrize("make", MAKES)
+def test_a_seed_repeats_mazes_and_episodes_and_another_draws_anew(make: Make) -> None:
+    drawn = []
+    for seed in (3, 3, 4):
+        env = make(3, **{**FAST, "seed": seed})
+        run = rollout(env, torques(env, 4)), rollout(env, torques(env, 4))
+        drawn.append((layouts_of(env), *run))
+    first, again, other = drawn
+    assert first[0] == again[0]
+    for a, b in zip(first[1:], again[1:], strict=True):
+        assert all(torch.equal(leaves(a)[name], leaves(b)[name]) for name in leaves(a))
+    assert all(a != b for a, b in zip(first[0], other[0], strict=True))
+
+
+def test_training_and_test_draw_from_streams_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    numbers: list[float] = []
+
+    def record(rng: np.random.Generator, ranges: Any) -> MazeLayout:
+        numbers.append(rng.uniform())
+        return LEVEL
+
+    monkeypatch.setattr(maze_env, "random_straight", record)
+    monkeypatch.setattr(maze_env, "random_maze", record)
+    for make in MAKES:
+        make(4, **FAST).reset()
+    assert len(set(numbers)) == 8
+
+
+# -- which mazes -------------------------------------------------------------------------------------------------------
+
+
+def test_training_never_sees_a_turn() -> None:
+    env = PandaMazeEnv.straight(8, **FAST)
+    for _ in range(12):
+        observation = env.reset()
+        assert all(layout.is_straight for layout in layouts_of(env))
+        told = torch.tensor([layout.heading for layout in layouts_of(env)])
+        assert_close(observation["corridor_heading"].squeeze(-1), told, rtol=0, atol=1e-4)
+
+
+def test_the_test_has_turns_discs_and_ramps_in_every_maze() -> None:
+    env = PandaMazeEnv.mazes(4, **FAST)
+    before: list[MazeLayout] = []
+    for _ in range(2):
+        env.reset()
+        assert not set(layouts_of(env)) & set(before)
+        before += layouts_of(env)
+    for layout in before:
+        assert {type(segment) for segment in layout.segments} == {Straight, Turn, Disc}
+        assert any(isinstance(segment, Straight) and segment.rise for segment in layout.segments)
+
+
+def test_the_ranges_of_the_mazes_are_those_given() -> None:
+    straight = PandaMazeEnv.straight(2, ranges=StraightRanges(length=(0.21, 0.21)), **FAST)
+    mazes = PandaMazeEnv.mazes(2, ranges=MazeRanges(friction=(0.15, 0.15)), **FAST)
+    for env in (straight, mazes):
+        env.reset()
+    assert all(layout.segments == (Straight(0.21),) for layout in layouts_of(straight))
+    assert all(layout.friction == 0.15 for layout in layouts_of(mazes))
+
+
+def test_layouts_written_by_hand_are_taken_in_turn() -> None:
+    env = of_three(2, **FAST)
+    taken = []
+    for _ in range(3):
+        env.reset()
+        taken += layouts_of(env)
+    assert taken == [SHORT, LEVEL, paper_layout()] * 2
+    assert PandaMazeEnv.of([LEVEL, SHORT], **FAST).num_envs == 2
+
+
+# -- the start of an episode -------------------------------------------------------------------------------------------
+
+
+def test_the_tool_starts_upright_in_its_ranges_from_the_closed_end_and_the_centre_line() -> None:
+    env = PandaMazeEnv.straight(64, dtype=F64, **FAST)
+    observation, ranges = env.reset(), MazeRandomisation()
+    length = torch.tensor([build_corridor(layout).length for layout in layouts_of(env)], dtype=F64)
+    room = torch.tensor([0.5 * layout.width - env.tool.stem_radius for layout in layouts_of(env)], dtype=F64)
+    drawn = {
+        "along": observation["progress"].squeeze(-1) * length,
+        "across": observation["corridor_offset"].squeeze(-1) / room,
+    }
+    for name, values in drawn.items():
+        low, high = getattr(ranges, name)
+        margin = 0.1 * (high - low)
+        assert low - 0.05 * margin <= float(values.min()) < low + margin, name
+        assert high + 0.05 * margin >= float(values.max()) > high - margin, name
+    upright = torch.tensor(env.start_pose[3:], dtype=F64).expand(64, 4)
+    assert_close((observation["pose"][:, 3:] * upright).sum(-1).abs(), torch.ones(64, dtype=F64), rtol=0, atol=1e-6)
+    floor = torch.tensor([layout.height for layout in layouts_of(env)], dtype=F64)
+    assert_close(observation["pose"][:, 2] - floor, torch.full((64,), 5e-4, dtype=F64), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(("make", "error"), [(PandaMazeEnv.straight, 0.9), (PandaMazeEnv.mazes, 0.2)])
+def test_the_told_heading_is_off_within_its_range_for_a_whole_episode(make: Make, error: float) -> None:
+    env = make(24, duration=0.02, **FAST)
+    told = rollout(env, torch.zeros(24, 2, 7))["start_heading"]
+    off = told[:, 0, 0] - torch.tensor([layout.heading for layout in layouts_of(env)])
+    assert torch.equal(told[:, 0], told[:, 1])
+    assert float(off.abs().max()) <= error + 1e-6
+    assert float(off.max()) > 0.6 * error
+    assert float(off.min()) < -0.6 * error
+
+
+def test_a_partial_reset_draws_a_maze_for_its_rows_and_leaves_the_others_alone() -> None:
+    env = PandaMazeEnv.mazes(4, **FAST)
+    before = act(env, env.reset(), torques(env, 1)[:, 0])
+    kept, layouts = before.clone(), layouts_of(env)
+    geometry = [model.geom_pos.copy() for model in env.engine.models]
+    states = [env.engine.state(row) for row in range(4)]
+    mask = torch.tensor([True, False, False, True])
+    after = env.reset(before.copy().set("_reset", mask.unsqueeze(-1)))
+    for key in ("start_heading", "corridor_heading", "corridor_offset", "progress", "pose"):
+        same = (after[key] == before[key]).flatten(1).all(-1)
+        assert torch.equal(same, ~mask), key
+    for row, drawn in enumerate(mask.tolist()):
+        assert (layouts_of(env)[row] != layouts[row]) is drawn
+        assert np.array_equal(env.engine.models[row].geom_pos, geometry[row]) is not drawn
+        assert np.array_equal(env.engine.state(row), states[row]) is not drawn
+    act(env, after)
+    assert all(torch.equal(leaves(before)[name], value) for name, value in leaves(kept).items())
+
+
+# -- the end of an episode ---------------------------------------------------------------------------------------------
+
+
+def test_success_is_reached_at_the_end_of_the_centre_line_inside_the_corridor_and_not_before() -> None:
+    env = PandaMazeEnv.of([LEVEL] * 4, max_force=1e9, **FAST)
+    observation = env.reset()
+    for row, (along, above) in enumerate([(0.39, 5e-4), (0.402, 5e-4), (0.2, 5e-4), (0.402, 0.045)]):
+        put_tool(env, row, at(LEVEL, along, above=above))
+    after = act(env, observation)
+    assert column(after["success"]) == [False, True, False, False]
+    assert column(after["terminated"]) == column(after["done"]) == [False, True, False, True]
+    assert column(after["progress"]) == pytest.approx([0.39 / 0.4, 1.0, 0.5, 1.0], abs=1e-3)
+    assert not after["truncated"].any()
+    assert after["reward_terms", "progress"][1] > env.rewards.success
+
+
+def test_a_tool_beyond_a_wall_or_lifted_over_the_walls_has_left_the_corridor() -> None:
+    env = PandaMazeEnv.of([LEVEL] * 6, max_force=1e9, **FAST)
+    observation = env.reset()
+    cases = [(0.0, 5e-4), (0.014, 5e-4), (0.07, 5e-4), (-0.07, 5e-4), (0.0, 0.039), (0.0, 0.042)]
+    for row, (aside, above) in enumerate(cases):
+        put_tool(env, row, at(LEVEL, 0.2, aside, above))
+    after = act(env, observation)
+    expected = [False, False, True, True, False, True]
+    assert_close(after["corridor_offset"].squeeze(-1), torch.tensor([a for a, _ in cases]), rtol=0, atol=1e-3)
+    for name in ("left_corridor", "terminated", "done"):
+        assert column(after[name]) == expected, name
+    assert not after["truncated"].any()
+    failed = after["reward_terms", "contact"].squeeze(-1) <= -env.rewards.failure
+    assert failed.tolist() == expected
+
+
+def test_a_force_above_the_safe_one_ends_the_episode_and_one_below_does_not() -> None:
+    env = PandaMazeEnv.of([LEVEL], max_force=1.0, dtype=F64, **FAST)
+    run = drag(env, 0.05, [0.02], 1.0)[1:, 0]
+    assert_close(run["unsafe"], run["wrench"][:, :3].norm(dim=-1, keepdim=True) > 1.0)
+    for name in ("unsafe", "terminated", "done"):
+        assert column(run[name]) == [False] * (len(run) - 1) + [True], name
+    assert len(run) < 100
+    assert not run["success"].any()
+    assert run["reward_terms", "contact"][-1] <= -env.rewards.failure
+
+
+def test_the_horizon_truncates() -> None:
+    env = PandaMazeEnv.of([LEVEL], duration=0.03, **FAST)
+    ends = rollout(env, torch.zeros(1, 6, 7))["next"]
+    expected = torch.tensor([False, False, True] * 2)
+    assert torch.equal(ends["truncated"][0, :, 0], expected)
+    assert torch.equal(ends["done"], ends["truncated"])
+    assert not ends["terminated"].any()
+
+
+def test_an_episode_that_is_over_begins_anew() -> None:
+    env = PandaMazeEnv.of([LEVEL], **FAST)
+    observation = env.reset()
+    put_tool(env, 0, at(LEVEL, 0.402))
+    assert act(env, observation)["success"].all()
+    fresh = env.reset()
+    assert not fresh["success"].any()
+    assert not act(env, fresh)["done"].any()
+
+
+# -- bad input ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("force", [0.0, -1.0, math.nan])
+def test_a_safe_force_that_is_not_positive_is_refused(force: float) -> None:
+    with pytest.raises(ValueError, match=r"max_force is .*; expected a force above 0 N\."):
+        PandaMazeEnv.straight(1, max_force=force)
+
+
+def test_no_layout_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"layouts are empty; expected at least one MazeLayout\."):
+        PandaMazeEnv.of([])
+
+
+def test_a_layout_that_cannot_be_built_is_refused_before_the_first_episode() -> None:
+    with pytest.raises(ValueError, match=r"the maze lies .* Move its start"):
+        PandaMazeEnv.of([LEVEL, replace(LEVEL, start=(1.0, 0.0))])
+
+
+def test_the_weights_of_the_reward_are_those_given() -> None:
+    light, heavy = (
+        PandaMazeEnv.of([LEVEL], rewards=MazeRewards(progress=weight, success=0.0), dtype=F64, **FAST)
+        for weight in (1.0, 3.0)
+    )
+    first, second = (drag(env, 0.08, [0.007], 0.2)["reward_terms", "progress"] for env in (light, heavy))
+    assert (first[1:] != 0).all()
+    assert_close(second, 3 * first)

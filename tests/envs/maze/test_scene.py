@@ -1,0 +1,253 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torch.testing import assert_close
+
+from ppt_rl.envs import MazeRandomisation, MazeRewards, PandaMazeEnv
+from ppt_rl.envs.maze.geometry import WALL_HEIGHT, build_corridor
+from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn, paper_layout
+from ppt_rl.envs.maze.scene import maze_scene, write_corridor
+from ppt_rl.envs.mujoco_imports import mjcf
+from tests.envs.maze.mazes import (
+    LEVEL,
+    SHORT,
+    RayScene,
+    along,
+    drag,
+    open_end,
+    random_mazes,
+    random_straights,
+    seen,
+    seen_walls,
+    travelled,
+    unit,
+    walk,
+)
+
+LAYOUTS = [paper_layout(), SHORT, LEVEL, *(random_mazes()[i][0] for i in range(3)), random_straights()[0][0]]
+FAST: dict[str, Any] = {"physics_dt": 0.002, "num_threads": 1, "seed": 0}
+
+
+def pieces(model: mujoco.MjModel) -> list[int]:
+    """The walls and floors of a model."""
+    return [i for i in range(model.ngeom) if model.geom(i).name.startswith(("wall", "floor"))]
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[PandaMazeEnv]:
+    env = PandaMazeEnv.of(LAYOUTS, **FAST)
+    env.reset()
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def rows(env: PandaMazeEnv) -> list[RayScene]:
+    return [RayScene(env, row) for row in range(env.num_envs)]
+
+
+# -- the model of an environment is its maze ---------------------------------------------------------------------------
+
+
+def test_the_written_walls_stand_the_width_apart_up_to_their_top(rows: list[RayScene]) -> None:
+    for row, layout in zip(rows, LAYOUTS, strict=True):
+        points = along(build_corridor(layout), 4)[0]
+        for _, middle, heading in walk(layout):
+            floor = points[np.linalg.norm(points[:, :2] - middle, axis=1).argmin(), 2]
+            for height in (0.002, 0.95 * WALL_HEIGHT):
+                place = np.asarray([*middle, floor + height])
+                sides = [row.wall(place, heading + side * 0.5 * math.pi) for side in (1, -1)]
+                assert sides == pytest.approx([0.5 * layout.width] * 2, abs=1e-9)
+
+
+def test_the_written_walls_stand_where_the_corridor_has_them_with_no_gap_between(rows: list[RayScene]) -> None:
+    angles = np.linspace(-math.pi, math.pi, 36, endpoint=False) + 0.013
+    for row, layout in zip(rows, LAYOUTS, strict=True):
+        corridor = build_corridor(layout)
+        for point in along(corridor, 2)[0]:
+            point[2] = 0.04  # every wall, on whatever floor, reaches from the table to above this
+            expected = seen_walls(point, angles, corridor)
+            assert np.isfinite(seen(point, angles[np.isinf(expected)], *open_end(corridor))).all()
+            for angle, distance in zip(angles, expected, strict=True):
+                if math.isfinite(distance):
+                    assert row.wall(point, angle) == pytest.approx(distance, abs=1e-9)
+
+
+def test_the_written_floor_has_the_height_of_the_centre_line_from_wall_to_wall(rows: list[RayScene]) -> None:
+    for row, layout in zip(rows, LAYOUTS, strict=True):
+        points, headings, _ = along(build_corridor(layout))
+        for point, side in zip(points, unit(headings + 0.5 * math.pi), strict=True):
+            for share in (-0.49, -0.2, 0.0, 0.2, 0.49):
+                above = point + np.asarray([*(share * layout.width * side), 0.03])
+                assert row.floor(above) == pytest.approx(point[2], abs=1e-6)
+
+
+def test_the_tool_touches_walls_and_floor_with_the_friction_of_its_maze_and_nothing_else(env: PandaMazeEnv) -> None:
+    for model, layout in zip(env.engine.models, LAYOUTS, strict=True):
+        np.testing.assert_array_equal(model.pair_friction[:, :2], layout.friction)
+        stem = model.geom("stem")
+        pairs = [set(pair) for pair in zip(model.pair_geom1, model.pair_geom2, strict=True)]
+        assert sorted(map(sorted, pairs)) == sorted(sorted((piece, stem.id)) for piece in pieces(model))
+        touched = (model.geom_contype & stem.conaffinity[0]) | (model.geom_conaffinity & stem.contype[0])
+        assert not touched.any()
+
+
+def test_all_mazes_are_one_compiled_model_with_numbers_of_their_own(env: PandaMazeEnv) -> None:
+    first, *others = env.engine.models
+    for model in others:
+        for name in ("nq", "nv", "ngeom", "npair", "nsensordata"):
+            assert getattr(model, name) == getattr(first, name)
+        assert not np.array_equal(model.geom_pos, first.geom_pos)
+
+
+def test_pieces_of_the_maze_before_are_put_far_away() -> None:
+    model = mjcf.Physics.from_mjcf_model(maze_scene()).model.ptr
+    fresh = mjcf.Physics.from_mjcf_model(maze_scene()).model.ptr
+    write_corridor(model, build_corridor(paper_layout()), 0.3)
+    for target in (model, fresh):
+        write_corridor(target, build_corridor(LEVEL), 0.2)
+    for name in ("geom_pos", "geom_quat", "geom_size", "geom_rbound", "geom_aabb", "pair_friction"):
+        np.testing.assert_array_equal(getattr(model, name), getattr(fresh, name), err_msg=name)
+    assert (model.geom_pos[pieces(model), 2] > -1).sum() == len(build_corridor(LEVEL).faces) + 1
+
+
+def test_what_the_compiler_derives_from_a_piece_is_derived_anew(env: PandaMazeEnv) -> None:
+    for model in env.engine.models:
+        for i in pieces(model):
+            assert model.geom_rbound[i] == pytest.approx(np.linalg.norm(model.geom_size[i]))
+            np.testing.assert_array_equal(model.geom_aabb[i], [0, 0, 0, *model.geom_size[i]])
+
+
+def test_the_inspection_model_shows_the_maze_of_its_environment(env: PandaMazeEnv) -> None:
+    for row in (1, 0):
+        shown, stepped = env.physics(row).model.ptr, env.engine.models[row]
+        for i in pieces(stepped):
+            name = stepped.geom(i).name
+            for attribute in ("pos", "quat", "size"):
+                np.testing.assert_array_equal(
+                    getattr(shown.geom(name), attribute), getattr(stepped.geom(name), attribute), err_msg=name
+                )
+
+
+def test_a_maze_of_more_pieces_than_the_model_is_refused(env: PandaMazeEnv) -> None:
+    segments = (Straight(0.1), *(Disc(0.09), Straight(0.1)) * 4)
+    corridor = build_corridor(MazeLayout(segments))
+    with pytest.raises(ValueError, match=r"the maze has \d+ pieces of wall; expected at most 48\. Shorten it\."):
+        write_corridor(env.engine.models[0], corridor, 0.2)
+
+
+def test_a_layout_of_more_pieces_than_the_model_is_refused_before_the_first_episode() -> None:
+    segments = (Straight(0.1), *(Disc(0.09), Straight(0.1)) * 3)
+    with pytest.raises(ValueError, match="pieces of wall"):
+        PandaMazeEnv.of([MazeLayout(segments, start=(0.45, -0.35))], **FAST)
+
+
+# -- contact -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [PandaMazeEnv.straight, PandaMazeEnv.mazes])
+def test_the_tool_touches_nothing_at_the_start_of_an_episode(make: Callable[..., PandaMazeEnv]) -> None:
+    env = make(32, **FAST)
+    assert (env.reset()["wrench"].abs() < 1e-6).all()
+    for row in range(32):
+        scene = RayScene(env, row)
+        assert scene.data.ncon == 0, env.layouts[row]
+
+
+def test_a_first_straight_without_room_for_the_tool_before_the_turn_is_refused() -> None:
+    segments = (Straight(0.025), Turn(1.2), Straight(0.2))
+    with pytest.raises(ValueError, match="first"):
+        PandaMazeEnv.of([MazeLayout(segments, start=(0.50, -0.10))], **FAST)
+
+
+def test_the_tool_starts_at_the_floor(env: PandaMazeEnv) -> None:
+    for row, layout in enumerate(LAYOUTS):
+        if walk(layout)[0][0].rise == 0:
+            scene = RayScene(env, row)
+            assert scene.data.site("end_effector").xpos[2] - layout.height == pytest.approx(5e-4, abs=1e-4)
+
+
+def test_a_tool_that_slides_over_a_level_floor_feels_a_steady_force() -> None:
+    """A stiff contact lets it hop with the time step: lightly pressed on, it would be in the air nine steps of ten."""
+    pressing, lightly = 0.007, 0.002
+    straight_on = MazeRandomisation(along=(0.03, 0.03), across=(0.0, 0.0))
+    env = PandaMazeEnv.of([LEVEL] * 2, randomisation=straight_on, **FAST)
+    force = drag(env, 0.08, [pressing, lightly], 0.9)["wrench"][40:, :, 2].double()
+    expected = 250.0 * torch.tensor([pressing, lightly], dtype=torch.float64)
+    assert_close(-force.mean(0), expected, rtol=0.3, atol=0)
+    assert float(force[:, 0].std()) < 0.05 * float(-force[:, 0].mean())
+    assert float(force[:, 1].max()) < -0.2 * float(expected[1])
+
+
+# -- driving through ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def driven() -> tuple[PandaMazeEnv, TensorDict]:
+    """The maze of the paper, driven through along its centre line."""
+    rewards = MazeRewards(progress=2.0, success=5.0)
+    env = PandaMazeEnv.of([paper_layout()], rewards=rewards, physics_dt=0.002, num_threads=1, seed=0)
+    return env, drag(env, 0.10, [0.007], 14.0)[:, 0]
+
+
+def test_a_tool_dragged_along_the_centre_line_comes_through_the_maze_of_the_paper(
+    driven: tuple[PandaMazeEnv, TensorDict],
+) -> None:
+    run = driven[1]
+    for name in ("success", "done", "terminated"):
+        assert run[name].squeeze(-1).tolist() == [False] * (len(run) - 1) + [True], name
+    for name in ("left_corridor", "unsafe", "truncated", "diverged"):
+        assert not run[name].any(), name
+
+
+def test_progress_grows_from_near_nothing_to_one_along_the_centre_line(driven: tuple[PandaMazeEnv, TensorDict]) -> None:
+    progress = driven[1]["progress"].squeeze(-1)
+    assert 0 < float(progress[0]) < 0.05
+    assert (progress.diff() > -1e-4).all()
+    assert float(progress[-1]) == 1.0
+
+
+def test_the_tool_stays_on_the_floor_all_the_way_up_and_down(driven: tuple[PandaMazeEnv, TensorDict]) -> None:
+    env, run = driven
+    centre = build_corridor(paper_layout()).centre
+    way = run["progress"].squeeze(-1).double().numpy() * travelled(centre)[-1]
+    above = run["pose"][:, 2].double().numpy() - np.interp(way, travelled(centre), centre[:, 2])
+    slope = 0.04 / (0.19 - 0.07)
+    assert above.min() > -2e-3
+    assert above.max() < env.tool.stem_radius * slope + 3e-3  # on its edge
+    assert run["pose"][:, 2].max() > 0.04
+
+
+def test_the_privileged_place_is_that_of_the_tool_in_the_corridor(driven: tuple[PandaMazeEnv, TensorDict]) -> None:
+    env, run = driven
+    assert (run["corridor_offset"].abs() <= 0.5 * 0.055 - env.tool.stem_radius + 1e-3).all()
+    headings = [heading for _, _, heading in walk(paper_layout())]
+    seen_headings = sorted({round(float(value), 4) for value in run["corridor_heading"]})
+    assert seen_headings == pytest.approx(sorted({round(value, 4) for value in headings}), abs=2e-4)
+
+
+def test_the_progress_terms_add_up_to_the_way_made_plus_the_bonus_for_the_end(
+    driven: tuple[PandaMazeEnv, TensorDict],
+) -> None:
+    run = driven[1]
+    total = run["reward_terms", "progress"].sum()
+    assert_close(total, 2.0 * (1.0 - run["progress"][0, 0]) + 5.0, rtol=0, atol=1e-3)
+
+
+def test_the_reward_is_the_sum_of_its_terms(driven: tuple[PandaMazeEnv, TensorDict]) -> None:
+    run = driven[1][1:]
+    terms = run["reward_terms"]
+    assert set(terms.keys()) == {"progress", "free_space", "contact", "power"}
+    assert_close(run["reward"], sum(terms.values()), rtol=0, atol=1e-5)
+    for name in terms.keys():
+        assert (terms[name] != 0).any(), name
+    assert (terms["contact"] <= 0).all()
+    assert (terms["power"] <= 0).all()

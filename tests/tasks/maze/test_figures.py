@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ppt_rl.envs import MazeLayout, Straight, Turn, paper_layout
+from ppt_rl.tasks.maze.figures import plot_difficulty, plot_layout, plot_rollouts
+
+
+def drawn(path: Path) -> bool:
+    return path.exists() and path.stat().st_size > 5_000
+
+
+@pytest.mark.parametrize(
+    "layout", [paper_layout(), MazeLayout((Straight(0.1), Turn(0.4), Straight(0.1)), start=(0.5, -0.1))]
+)
+def test_a_layout_is_drawn(layout: MazeLayout, tmp_path: Path) -> None:
+    plot_layout(layout, tmp_path / "layout.png")
+    assert drawn(tmp_path / "layout.png")
+
+
+@pytest.mark.parametrize("touched", [False, True])
+def test_rollouts_are_drawn_with_and_without_via_points(touched: bool, tmp_path: Path) -> None:
+    generator = np.random.default_rng(0)
+    pose = np.concatenate([generator.uniform(0.3, 0.6, (2, 9, 3)), np.zeros((2, 9, 4))], -1)
+    rollout = {"pose": pose, "steps": np.asarray([9, 4])}
+    via = {"via_position": pose[:, :, None, :3], "via_mask": np.full((2, 9, 1), touched)}
+    plot_rollouts(paper_layout(), {"PPT": rollout | via, "ST": rollout}, tmp_path / "rollouts.png")
+    assert drawn(tmp_path / "rollouts.png")
+
+
+def test_difficulty_is_drawn_for_rates_at_their_bounds(tmp_path: Path) -> None:
+    curve = ([0.0, 1.0, 2.0], [1.0, 0.5, 0.0], [(0.9, 1.0), (0.3, 0.7), (0.0, 0.1)])
+    curves = {"width [mm]": {"PPT": curve, "wall follower": curve}, "rise [cm]": {"PPT": curve}}
+    plot_difficulty(curves, tmp_path / "difficulty.png", usual={"width [mm]": (0.5, 1.5)})
+    assert drawn(tmp_path / "difficulty.png")

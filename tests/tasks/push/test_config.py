@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from ppt_rl.tasks import episode_metrics, make_controller, prepare_torch
+from ppt_rl.tasks.push import PushConfig, make_push_env
+from tests.envs.scenes import leaves
+
+CONFIG = PushConfig(num_envs=3, num_threads=1, duration=0.2, physics_dt=0.002, control_dt=0.02, seed=5)
+
+
+@pytest.mark.parametrize(
+    ("duration", "control_dt", "steps"), [(3.0, 0.01, 300), (0.3, 0.1, 3), (0.29, 0.1, 3), (1e-3, 0.01, 1)]
+)
+def test_the_horizon_is_the_duration_in_control_steps_and_at_least_one(duration, control_dt, steps):
+    assert PushConfig(duration=duration, control_dt=control_dt).horizon == steps
+
+
+def test_the_environment_is_that_of_the_options():
+    env = make_push_env(replace(CONFIG, box_sizes=(0.08,)))
+    assert (env.num_envs, env.horizon, env.substeps, env.control_dt) == (3, CONFIG.horizon, 10, 0.02)
+    assert (env.reset()["box_size"] == 0.08).all()
+    assert env.engine.num_threads == 1
+    assert "audit" not in env.observation_spec.keys()
+
+
+def test_number_seed_and_audit_of_the_environment_can_be_others_than_the_options_say():
+    first, again, other = make_push_env(CONFIG), make_push_env(CONFIG, seed=5), make_push_env(CONFIG, seed=0)
+    first, again, other = (leaves(env.reset()) for env in (first, again, other))
+    assert all(torch.equal(first[name], again[name]) for name in first)
+    assert not torch.equal(first["goal"], other["goal"])
+    env = make_push_env(CONFIG, num_envs=2, audit=True)
+    assert env.num_envs == 2
+    assert env.reset()["audit", "commanded_work"].shape == (2, 1)
+
+
+def test_controller_and_metrics_take_their_constants_from_the_options():
+    config = replace(CONFIG, stiffness=123.0, damping_ratio=0.7, p_max=1.5)
+    controller = make_controller(config)
+    assert controller.stiffness[:3].tolist() == [123.0] * 3
+    undamped = make_controller(replace(config, damping_ratio=1.4))
+    torch.testing.assert_close(undamped.damping, 2 * controller.damping)
+    assert (episode_metrics(config).dt, episode_metrics(config).p_max) == (0.02, 1.5)
+
+
+def test_seeding_repeats_the_numbers_and_sets_the_threads():
+    before = torch.get_num_threads()
+    try:
+        draws = []
+        for seed in (1, 1, 2):
+            prepare_torch(replace(CONFIG, seed=seed, torch_threads=2))
+            draws.append(torch.rand(3).tolist())
+            assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert draws[0] == draws[1] != draws[2]
