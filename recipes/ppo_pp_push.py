@@ -43,11 +43,11 @@ def make_env(
     config: Config, promp: ProMP, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
 ) -> TransformedEnv:
     """The pushing environment with PP's chain: what stands above the macro step runs at control rate."""
-    base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
+    base = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit)
     return TransformedEnv(
         base,
         Compose(
-            JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
+            JointTorqueTransform(PandaKinematics(base.tool_length)),
             ImpedanceTransform(make_controller(config)),
             EpisodeMetricsTransform(episode_metrics(config)),
             MacroStepTransform(config.chunk, discount=config.ppo.gamma),
@@ -56,7 +56,6 @@ def make_env(
                 TaskSpace(PUSH_AXES, base.start_pose),
                 residual_scale=config.residual_scale,
                 replan_steps=config.chunk,
-                dt=dt,
             ),
             ViaPointTransform(promp),
         ),

@@ -64,16 +64,16 @@ def make_env(
 ) -> TransformedEnv:
     """Straight corridors (or, with ranges or layouts, mazes) with PPT's chain; above the macro step: control rate."""
     base = make_maze_env(config, num_envs=num_envs, seed=seed, audit=audit, ranges=ranges, layouts=layouts)
-    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
+    kinematics = PandaKinematics(base.tool_length)
     return TransformedEnv(
         base,
         Compose(
-            JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
-            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
+            JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
+            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
             ImpedanceTransform(make_controller(config)),
             EpisodeMetricsTransform(maze_metrics(config)),
-            HeadingFrameTransform(dt=dt),
-            ContactViaPointTransform(config.promp_duration, dt=dt),
+            HeadingFrameTransform(),
+            ContactViaPointTransform(config.promp_duration),
             MacroStepTransform(
                 config.replan_steps,
                 discount=config.ppo.gamma,
@@ -86,7 +86,6 @@ def make_env(
                 max_lead=(config.max_lead, 0.001, 0.0),
                 max_slip=config.max_slip,
                 replan_steps=config.replan_steps,
-                dt=dt,
             ),
             ViaPointTransform(promp, frame=("pose", "heading")),
         ),

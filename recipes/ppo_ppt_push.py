@@ -49,12 +49,12 @@ def make_env(
     config: Config, promp: ProMP, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
 ) -> TransformedEnv:
     """The pushing environment with PPT's chain: what stands above the macro step runs at control rate."""
-    base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
+    base = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit)
     return TransformedEnv(
         base,
         Compose(
-            JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
-            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
+            JointTorqueTransform(PandaKinematics(base.tool_length)),
+            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
             ImpedanceTransform(make_controller(config)),
             EpisodeMetricsTransform(episode_metrics(config)),
             MacroStepTransform(config.chunk, discount=config.ppo.gamma),
@@ -63,7 +63,6 @@ def make_env(
                 TaskSpace(PUSH_AXES, base.start_pose),
                 residual_scale=config.residual_scale,
                 replan_steps=config.chunk,
-                dt=dt,
             ),
             ViaPointTransform(promp),
         ),

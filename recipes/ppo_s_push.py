@@ -41,15 +41,15 @@ def make_env(
     config: Config, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
 ) -> TransformedEnv:
     """The pushing environment with S's chain: everything runs at control rate."""
-    base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
+    base = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit)
     return TransformedEnv(
         base,
         Compose(
-            JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
+            JointTorqueTransform(PandaKinematics(base.tool_length)),
             ImpedanceTransform(make_controller(config)),
             EpisodeMetricsTransform(episode_metrics(config)),
             CartesianVelocityTransform(
-                TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead, dt=dt
+                TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead
             ),
             StepCounter(),
             UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),

@@ -56,17 +56,17 @@ def make_env(
     base = make_maze_env(
         config, num_envs=num_envs, seed=seed, audit=audit, ranges=ranges, layouts=layouts, rewards=REWARDS
     )
-    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
+    kinematics = PandaKinematics(base.tool_length)
     return TransformedEnv(
         base,
         Compose(
-            JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
-            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
+            JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
+            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
             ImpedanceTransform(make_controller(config)),
             EpisodeMetricsTransform(maze_metrics(config)),
-            HeadingFrameTransform(dt=dt),
+            HeadingFrameTransform(),
             CartesianVelocityTransform(
-                maze_space(), max_velocity=config.velocity, max_lead=config.lead, dt=dt, heading_key="heading"
+                maze_space(), max_velocity=config.velocity, max_lead=config.lead, heading_key="heading"
             ),
         ),
     )
