@@ -14,7 +14,8 @@ from ppt_rl.arms.panda import HOME, JOINT_INERTIA, TORQUE_LIMITS
 from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
 from ppt_rl.modules.kinematics import PandaKinematics
-from ppt_rl.transforms.base import ActionTransform, replace_leaf
+from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.specs import replace_leaf
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["JointTorqueTransform"]
