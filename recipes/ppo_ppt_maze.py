@@ -13,7 +13,7 @@ from torch import nn
 from torchrl.envs import Compose, TransformedEnv
 
 from ppt_rl.envs import MazeLayout, MazeRanges
-from ppt_rl.modules import PandaKinematics, ProMP
+from ppt_rl.modules import Kinematics, ProMP
 from ppt_rl.tasks import make_controller, prepare_torch
 from ppt_rl.tasks.maze import (
     RecedingConfig,
@@ -64,7 +64,7 @@ def make_env(
 ) -> TransformedEnv:
     """Straight corridors (or, with ranges or layouts, mazes) with PPT's chain; above the macro step: control rate."""
     base = make_maze_env(config, num_envs=num_envs, seed=seed, audit=audit, ranges=ranges, layouts=layouts)
-    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
+    kinematics, dt = Kinematics(base.arm, base.tool_length), config.control_dt
     return TransformedEnv(
         base,
         Compose(

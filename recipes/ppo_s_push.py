@@ -11,7 +11,7 @@ from pathlib import Path
 from torch import nn
 from torchrl.envs import Compose, StepCounter, TransformedEnv, UnaryTransform
 
-from ppt_rl.modules import PandaKinematics, TaskSpace
+from ppt_rl.modules import Kinematics, TaskSpace
 from ppt_rl.tasks import episode_metrics, make_controller, prepare_torch
 from ppt_rl.tasks.push import PUSH_AXES, StepWiseConfig, make_push_env, make_push_policy
 from ppt_rl.training import run_recipe
@@ -45,7 +45,7 @@ def make_env(
     return TransformedEnv(
         base,
         Compose(
-            JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
+            JointTorqueTransform(Kinematics(base.arm, base.tool_length), dt=dt),
             ImpedanceTransform(make_controller(config)),
             EpisodeMetricsTransform(episode_metrics(config)),
             CartesianVelocityTransform(

@@ -13,7 +13,7 @@ from torch import nn
 from torchrl.envs import Compose, TransformedEnv
 
 from ppt_rl.envs import MazeLayout, MazeRanges, MazeRewards
-from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules import Kinematics
 from ppt_rl.tasks import make_controller, prepare_torch
 from ppt_rl.tasks.maze import StepWiseMazeConfig, make_maze_env, make_maze_policy, maze_metrics, maze_space
 from ppt_rl.training import run_recipe
@@ -56,7 +56,7 @@ def make_env(
     base = make_maze_env(
         config, num_envs=num_envs, seed=seed, audit=audit, ranges=ranges, layouts=layouts, rewards=REWARDS
     )
-    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
+    kinematics, dt = Kinematics(base.arm, base.tool_length), config.control_dt
     return TransformedEnv(
         base,
         Compose(

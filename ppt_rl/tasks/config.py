@@ -7,11 +7,12 @@ from pathlib import Path
 
 import torch
 
+from ppt_rl.envs.physics import EngineConfig
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.training.ppo import PPOConfig
 
-__all__ = ["TaskConfig", "episode_metrics", "make_controller", "prepare_torch"]
+__all__ = ["TaskConfig", "episode_metrics", "make_controller", "make_engine_config", "prepare_torch"]
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,19 @@ def make_controller(config: TaskConfig) -> CartesianImpedanceController:
     """
     linear = (config.stiffness,) * 3
     return CartesianImpedanceController((*linear, 30.0, 30.0, 30.0), config.damping_ratio)
+
+
+def make_engine_config(config: TaskConfig, *, audit: bool = False) -> EngineConfig:
+    """Options of the physics of a recipe's environment.
+
+    Args:
+        config: the recipe's options.
+        audit: whether power and work are measured at the rate of the physics too.
+
+    Returns:
+        The options.
+    """
+    return EngineConfig(config.physics_dt, config.num_threads or None, audit)
 
 
 def episode_metrics(config: TaskConfig) -> MetricsConfig:

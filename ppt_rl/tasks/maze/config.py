@@ -11,7 +11,7 @@ import torch
 from torch import nn
 from torchrl.envs import TransformedEnv
 
-from ppt_rl.envs.maze import PandaMazeEnv
+from ppt_rl.envs.maze import MazeEnv
 from ppt_rl.envs.maze.episode import MazeRewards
 from ppt_rl.envs.maze.layout import MazeLayout
 from ppt_rl.envs.maze.sampling import MazeRanges
@@ -19,7 +19,7 @@ from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.actor_critic import Mirror
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
-from ppt_rl.tasks.config import TaskConfig, episode_metrics
+from ppt_rl.tasks.config import TaskConfig, episode_metrics, make_engine_config
 from ppt_rl.training.ppo import PPOConfig
 from ppt_rl.training.recipe import make_actor_critic
 
@@ -156,7 +156,7 @@ def make_maze_env(
     ranges: MazeRanges | None = None,
     layouts: Sequence[MazeLayout] = (),
     rewards: MazeRewards | None = None,
-) -> PandaMazeEnv:
+) -> MazeEnv:
     """The bare environment of a maze recipe: straight corridors to train in, or mazes to be tested in.
 
     Args:
@@ -173,23 +173,21 @@ def make_maze_env(
     """
     common: dict[str, Any] = {
         "num_envs": num_envs or config.num_envs,
-        "physics_dt": config.physics_dt,
         "control_dt": config.control_dt,
-        "num_threads": config.num_threads or None,
         "seed": config.seed if seed is None else seed,
-        "audit": audit,
+        "engine": make_engine_config(config, audit=audit),
         "rewards": rewards,
     }
     if layouts:
-        return PandaMazeEnv.of(layouts, duration=config.duration, **common)
+        return MazeEnv.of(layouts, duration=config.duration, **common)
     if ranges is None:
-        return PandaMazeEnv.straight(duration=config.training_duration, **common)
-    return PandaMazeEnv.mazes(ranges=ranges, duration=config.duration, **common)
+        return MazeEnv.straight(duration=config.training_duration, **common)
+    return MazeEnv.mazes(ranges=ranges, duration=config.duration, **common)
 
 
 def maze_space() -> TaskSpace:
     """The task space of the maze: the tool upright, wherever it goes."""
-    return TaskSpace(MAZE_AXES, PandaMazeEnv.start_pose)
+    return TaskSpace(MAZE_AXES, MazeEnv.start_pose)
 
 
 def make_maze_promp(config: RecedingConfig) -> ProMP:

@@ -9,8 +9,8 @@ from pathlib import Path
 from torch import nn
 from torchrl.envs import TransformedEnv
 
-from ppt_rl.envs.push import PandaPushEnv
-from ppt_rl.tasks.config import TaskConfig
+from ppt_rl.envs.push import PushEnv
+from ppt_rl.tasks.config import TaskConfig, make_engine_config
 from ppt_rl.training.recipe import make_actor_critic
 
 __all__ = [
@@ -107,7 +107,7 @@ class StepWiseConfig(PushConfig):
 
 def make_push_env(
     config: PushConfig, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
-) -> PandaPushEnv:
+) -> PushEnv:
     """The bare environment of a pushing recipe.
 
     Args:
@@ -119,15 +119,13 @@ def make_push_env(
     Returns:
         The environment.
     """
-    return PandaPushEnv(
+    return PushEnv(
         num_envs=num_envs or config.num_envs,
         box_sizes=config.box_sizes,
         duration=config.duration,
-        physics_dt=config.physics_dt,
         control_dt=config.control_dt,
-        num_threads=config.num_threads or None,
         seed=config.seed if seed is None else seed,
-        audit=audit,
+        engine=make_engine_config(config, audit=audit),
     )
 
 
