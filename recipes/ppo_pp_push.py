@@ -11,9 +11,9 @@ from pathlib import Path
 from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 
-from ppt_rl.envs import PandaPushEnv
+from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
-from ppt_rl.modules import PandaKinematics, ProMP, TaskSpace
+from ppt_rl.modules import Kinematics, ProMP, TaskSpace
 from ppt_rl.tasks import episode_metrics, make_controller
 from ppt_rl.tasks.push import PUSH, PUSH_AXES, EpisodeLevelConfig, fit_push_prior, make_push_policy
 from ppt_rl.transforms import (
@@ -38,11 +38,11 @@ def make_modules(config: Config) -> dict[str, ProMP]:
     return {"promp": ProMP(config.num_basis, len(PUSH_AXES), config.duration)}
 
 
-def make_chain(config: Config, base: PandaPushEnv, promp: ProMP) -> list[Transform]:
+def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
     """PP's chain: what stands above the macro step runs at control rate."""
     dt = config.control_dt
     return [
-        JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length), dt=dt),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
         MacroStepTransform(config.chunk, discount=config.ppo.gamma),

@@ -11,9 +11,9 @@ from pathlib import Path
 from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 
-from ppt_rl.envs import PandaMazeEnv
+from ppt_rl.envs import MazeEnv
 from ppt_rl.evaluation import Recipe
-from ppt_rl.modules import PandaKinematics, ProMP
+from ppt_rl.modules import Kinematics, ProMP
 from ppt_rl.tasks import make_controller
 from ppt_rl.tasks.maze import (
     MAZE,
@@ -49,9 +49,9 @@ def make_modules(config: Config) -> dict[str, ProMP]:
     return {"promp": make_maze_promp(config)}
 
 
-def make_chain(config: Config, base: PandaMazeEnv, promp: ProMP) -> list[Transform]:
+def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain in the maze: what stands above the macro step runs at control rate."""
-    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
+    kinematics, dt = Kinematics(base.arm, base.tool_length), config.control_dt
     return [
         JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
         EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),

@@ -11,9 +11,9 @@ from pathlib import Path
 from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 
-from ppt_rl.envs import MazeRewards, PandaMazeEnv
+from ppt_rl.envs import MazeRewards, MazeEnv
 from ppt_rl.evaluation import Recipe
-from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules import Kinematics
 from ppt_rl.tasks import make_controller
 from ppt_rl.tasks.maze import MAZE, StepWiseMazeConfig, make_maze_policy, maze_metrics, maze_space
 from ppt_rl.transforms import (
@@ -38,9 +38,9 @@ class Config(StepWiseMazeConfig):
         return MazeRewards(progress=3.0, free_space=2.0, cruise=0.06, contact=3.0)
 
 
-def make_chain(config: Config, base: PandaMazeEnv) -> list[Transform]:
+def make_chain(config: Config, base: MazeEnv) -> list[Transform]:
     """ST's chain in the maze: everything runs at control rate."""
-    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
+    kinematics, dt = Kinematics(base.arm, base.tool_length), config.control_dt
     return [
         JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
         EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),

@@ -11,9 +11,9 @@ from pathlib import Path
 from torch import nn
 from torchrl.envs import StepCounter, Transform, TransformedEnv, UnaryTransform
 
-from ppt_rl.envs import PandaPushEnv
+from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
-from ppt_rl.modules import PandaKinematics, TaskSpace
+from ppt_rl.modules import Kinematics, TaskSpace
 from ppt_rl.tasks import episode_metrics, make_controller
 from ppt_rl.tasks.push import PUSH, PUSH_AXES, StepWiseConfig, make_push_policy
 from ppt_rl.transforms import (
@@ -37,11 +37,11 @@ class Config(StepWiseConfig):
     e_max: float = 3.0
 
 
-def make_chain(config: Config, base: PandaPushEnv) -> list[Transform]:
+def make_chain(config: Config, base: PushEnv) -> list[Transform]:
     """ST's chain: everything runs at control rate."""
     dt = config.control_dt
     return [
-        JointTorqueTransform(PandaKinematics(base.tool_length), dt=dt),
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length), dt=dt),
         EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),

@@ -8,7 +8,7 @@ from pathlib import Path
 from tensordict import TensorDictBase
 from tqdm import tqdm
 
-from ppt_rl.envs import PandaEnv
+from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.episodes import record_episodes
 from ppt_rl.evaluation.figures import plot_training
 from ppt_rl.evaluation.policy import Policy
@@ -35,7 +35,7 @@ def draw_policy(policy: Policy, directory: Path, *, episodes: int, seed: int) ->
         )
     draw_episode = policy.recipe.task.pictures.draw_episode
 
-    def draw(env: PandaEnv, recorded: TensorDictBase) -> None:
+    def draw(env: ArmEnv, recorded: TensorDictBase) -> None:
         if draw_episode is not None:
             draw_episode(policy, env, recorded[0], directory / "episode.png")
 
@@ -48,7 +48,7 @@ def film(
     *,
     episodes: int,
     seed: int,
-    also: Callable[[PandaEnv, TensorDictBase], None] | None = None,
+    also: Callable[[ArmEnv, TensorDictBase], None] | None = None,
 ) -> str:
     """Write a video of a policy from two cameras.
 

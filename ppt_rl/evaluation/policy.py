@@ -10,7 +10,7 @@ from typing import Any
 from torch import nn
 from torchrl.envs import EnvBase, ExcludeTransform, TransformedEnv
 
-from ppt_rl.envs import PandaEnv
+from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.episodes import ZeroPolicy
 from ppt_rl.evaluation.published import is_pretrained, load_pretrained, pretrained_card, published_policies
 from ppt_rl.evaluation.recipe import Recipe, find_recipe
@@ -110,7 +110,7 @@ class Policy:
             return self.make_env(num_envs, seed=seed, audit=audit, given=given), ZeroPolicy(self.actor)
         return self.recipe.task.baselines[name](self, self._bare(num_envs, seed, audit, given))
 
-    def _bare(self, num_envs: int, seed: int | None, audit: bool, given: Sequence[Any]) -> PandaEnv:
+    def _bare(self, num_envs: int, seed: int | None, audit: bool, given: Sequence[Any]) -> ArmEnv:
         return self.recipe.task.make_test_env(self.config, num_envs=num_envs, seed=seed, audit=audit, given=given)
 
 

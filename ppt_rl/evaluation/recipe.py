@@ -15,7 +15,7 @@ from typing import Any
 from torch import nn
 from torchrl.envs import Compose, Transform, TransformedEnv
 
-from ppt_rl.envs import PandaEnv
+from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.task import Task
 from ppt_rl.training import CheckpointMismatch, Learners, prepare_torch, run_script, train_in_run_dir
 
@@ -80,7 +80,7 @@ class Recipe:
         tank = ("tank_energy", "valve") if self.has_tank else ()
         return (*self.task.pictures.configuration, *self.task.pictures.trace, *tank, *self.trace)
 
-    def on(self, base: PandaEnv, config: Any, modules: Mapping[str, nn.Module]) -> TransformedEnv:
+    def on(self, base: ArmEnv, config: Any, modules: Mapping[str, nn.Module]) -> TransformedEnv:
         """An environment with the chain of this recipe.
 
         Args:

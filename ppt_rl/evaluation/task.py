@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from torchrl.envs import EnvBase
 
-from ppt_rl.envs import PandaEnv
+from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.columns import COLUMNS, Column
 from ppt_rl.evaluation.statistics import Claim
 
@@ -28,7 +28,7 @@ class MakeEnv(Protocol):
 
     def __call__(
         self, config: Any, *, num_envs: int, seed: int | None, audit: bool, given: Sequence[Any] = ()
-    ) -> PandaEnv:
+    ) -> ArmEnv:
         """Make an environment.
 
         Args:
@@ -45,7 +45,7 @@ class MakeEnv(Protocol):
 
 
 #: Makes what a baseline acts on and who acts, from a policy (for its options) and a bare test environment.
-Baseline = Callable[["Policy", PandaEnv], tuple[EnvBase, Any]]
+Baseline = Callable[["Policy", ArmEnv], tuple[EnvBase, Any]]
 
 
 @dataclass(frozen=True)

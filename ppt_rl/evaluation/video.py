@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
-from ppt_rl.envs import PandaEnv
+from ppt_rl.envs import ArmEnv
 from ppt_rl.envs.rendering import require_rendering
 
 __all__ = ["episode_frames", "pictures", "write_video"]
@@ -21,7 +21,7 @@ Image = NDArray[np.uint8]
 
 
 def episode_frames(
-    env: PandaEnv,
+    env: ArmEnv,
     episodes: TensorDictBase,
     rows: Sequence[int],
     configuration: Sequence[str],
@@ -57,7 +57,7 @@ def episode_frames(
 
 
 def pictures(
-    env: PandaEnv, row: int, positions: NDArray[np.float64], *, camera: str, size: tuple[int, int] = (640, 480)
+    env: ArmEnv, row: int, positions: NDArray[np.float64], *, camera: str, size: tuple[int, int] = (640, 480)
 ) -> Iterator[Image]:
     """Pictures of one environment in given configurations.
 

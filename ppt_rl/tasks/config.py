@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from ppt_rl.arms import find_arm
+from ppt_rl.envs import EngineConfig
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.training import RunConfig
@@ -17,6 +19,7 @@ class TaskConfig(RunConfig):
     """Options of every recipe.
 
     Attributes:
+        arm: name of the arm.
         duration: episode length [s].
         physics_dt: time step of the physics [s].
         control_dt: time step of the controller [s].
@@ -25,6 +28,7 @@ class TaskConfig(RunConfig):
         p_max: power limit [W]: of the tank where there is one, and of the overload metric.
     """
 
+    arm: str = "panda"
     duration: float = 3.0
     physics_dt: float = 0.0005
     control_dt: float = 0.01
@@ -52,11 +56,10 @@ def env_settings(config: TaskConfig, *, num_envs: int, seed: int | None, audit: 
     """
     return {
         "num_envs": num_envs,
+        "arm": find_arm(config.arm),
         "seed": seed,
         "control_dt": config.control_dt,
-        "physics_dt": config.physics_dt,
-        "num_threads": config.num_threads or None,
-        "audit": audit,
+        "engine": EngineConfig(config.physics_dt, config.num_threads or None, audit),
     }
 
 
@@ -69,8 +72,9 @@ def make_controller(config: TaskConfig) -> CartesianImpedanceController:
     Returns:
         The controller.
     """
-    linear = (config.stiffness,) * 3
-    return CartesianImpedanceController((*linear, 30.0, 30.0, 30.0), config.damping_ratio)
+    stiffness = (*(config.stiffness,) * 3, 30.0, 30.0, 30.0)
+    inertia = find_arm(config.arm).apparent_inertia
+    return CartesianImpedanceController(stiffness, config.damping_ratio, inertia=inertia)
 
 
 def episode_metrics(config: TaskConfig) -> MetricsConfig:

@@ -1,6 +1,6 @@
 """Box pushing: scene, episodes, rewards and environment."""
 
-from ppt_rl.envs.push.env import PandaPushEnv, PushRewards
+from ppt_rl.envs.push.env import PushEnv, PushRewards
 from ppt_rl.envs.push.episode import PushRandomisation
 
-__all__ = ["PandaPushEnv", "PushRandomisation", "PushRewards"]
+__all__ = ["PushEnv", "PushRandomisation", "PushRewards"]

@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 from torchrl.data import Composite
 
-from ppt_rl.envs.arm import PandaEnv, Rows
+from ppt_rl.envs.arm import ArmEnv, Rows
 from ppt_rl.envs.push.episode import BOXES, PushEpisodes, PushRandomisation, draw_episodes
 from ppt_rl.envs.push.scene import PUSH_BOX, push_scene
 from ppt_rl.envs.readings import sensor_span
 from ppt_rl.envs.specs import SpecMaker
 
-__all__ = ["PandaPushEnv", "PushRewards"]
+__all__ = ["PushEnv", "PushRewards"]
 
 #: Names of the four reward groups (paper, section "Problem Statement").
 REWARD_GROUPS = ("progress", "free_space", "contact", "power")
@@ -51,11 +51,11 @@ class PushRewards:
     power: float = 0.1
 
 
-class PandaPushEnv(PandaEnv):
+class PushEnv(ArmEnv):
     """Push a box to a goal within the horizon and leave it there, flat.
 
     Success is judged at the end: the box's centre within ``success_radius`` of the goal, and flat. Adds to the
-    observations of :class:`PandaEnv`:
+    observations of :class:`ArmEnv`:
 
     * ``box_pose`` 7 [m, -]: privileged, for critics; a policy for deployment leaves it out;
     * ``box_start`` 2 and ``goal`` 2 [m], ``box_size`` 1 [m]: what is known at test time, fixed over an episode;
@@ -71,7 +71,7 @@ class PandaPushEnv(PandaEnv):
         randomisation: ranges of what is drawn.
         rewards: weights of the reward groups.
         success_radius: [m].
-        **kwargs: as for :class:`PandaEnv`.
+        **kwargs: as for :class:`ArmEnv`.
 
     Raises:
         ValueError: if a box size is unknown or a number is out of range.
@@ -80,7 +80,7 @@ class PandaPushEnv(PandaEnv):
         Paper, section "Box Pushing".
 
     Examples:
-        >>> env = PandaPushEnv(num_envs=2, box_sizes=(0.06,), seed=0)
+        >>> env = PushEnv(num_envs=2, box_sizes=(0.06,), seed=0)
         >>> env.reset()["goal"].shape
         torch.Size([2, 2])
     """
@@ -111,7 +111,7 @@ class PandaPushEnv(PandaEnv):
     # -- episode ------------------------------------------------------------------------------------------------------
 
     def _scene(self) -> Any:
-        return push_scene(self.tool, physics_dt=self.physics_dt)
+        return push_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt)
 
     def _prepare(self, model: Any) -> None:
         self._box_slice = sensor_span(model, "box_position", "box_orientation")

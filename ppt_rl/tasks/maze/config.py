@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from ppt_rl.envs import MazeRewards, PandaMazeEnv
+from ppt_rl.envs import MazeRewards, MazeEnv
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.promp import ProMP
@@ -144,7 +144,7 @@ class StepWiseMazeConfig(MazeConfig):
 
 def maze_space() -> TaskSpace:
     """The task space of the maze: the position of a tool that stays upright."""
-    return TaskSpace(MAZE_AXES, PandaMazeEnv.start_pose)
+    return TaskSpace(MAZE_AXES, MazeEnv.start_pose)
 
 
 def make_maze_promp(config: RecedingConfig) -> ProMP:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ppt_rl.envs import MazeLayout, MazeRanges, PandaMazeEnv
+from ppt_rl.envs import MazeLayout, MazeRanges, MazeEnv
 from ppt_rl.tasks.config import env_settings
 from ppt_rl.tasks.maze.config import MazeConfig
 
@@ -14,7 +14,7 @@ __all__ = ["make_test_env", "make_training_env"]
 
 def make_training_env(
     config: MazeConfig, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[Any] = ()
-) -> PandaMazeEnv:
+) -> MazeEnv:
     """Straight corridors to train in.
 
     Args:
@@ -33,12 +33,12 @@ def make_training_env(
     if given:
         raise ValueError(f"{len(given)} mazes are given; expected none, since training corridors are drawn.")
     settings = env_settings(config, num_envs=num_envs, seed=seed, audit=audit)
-    return PandaMazeEnv.straight(duration=config.training_duration, rewards=config.rewards, **settings)
+    return MazeEnv.straight(duration=config.training_duration, rewards=config.rewards, **settings)
 
 
 def make_test_env(
     config: MazeConfig, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[MazeLayout] = ()
-) -> PandaMazeEnv:
+) -> MazeEnv:
     """Random mazes to be judged in, or given ones.
 
     Args:
@@ -57,5 +57,5 @@ def make_test_env(
     settings = env_settings(config, num_envs=num_envs, seed=seed, audit=audit)
     layouts = given or [MazeLayout.load(path) for path in config.layouts]
     if layouts:
-        return PandaMazeEnv.of(layouts, duration=config.duration, rewards=config.rewards, **settings)
-    return PandaMazeEnv.mazes(ranges=MazeRanges(), duration=config.duration, rewards=config.rewards, **settings)
+        return MazeEnv.of(layouts, duration=config.duration, rewards=config.rewards, **settings)
+    return MazeEnv.mazes(ranges=MazeRanges(), duration=config.duration, rewards=config.rewards, **settings)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
-from ppt_rl.envs import MazeLayout, PandaMazeEnv
+from ppt_rl.envs import MazeLayout, MazeEnv
 from ppt_rl.envs.maze.geometry import Corridor, build_corridor
 from ppt_rl.evaluation import Policy
 from ppt_rl.evaluation.figures import save_figure
@@ -103,7 +103,7 @@ def _via_points(rollout: Mapping[str, Array]) -> Array:
     return np.unique(np.concatenate(found).round(5), axis=0)
 
 
-def draw_maze_episode(policy: Policy, env: PandaMazeEnv, episode: TensorDictBase, path: Path) -> None:
+def draw_maze_episode(policy: Policy, env: MazeEnv, episode: TensorDictBase, path: Path) -> None:
     """Draw one recorded episode of a policy in its maze.
 
     Args:

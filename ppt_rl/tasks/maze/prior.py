@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torchrl.envs import Compose, TransformedEnv
 
-from ppt_rl.envs.maze import PandaMazeEnv
+from ppt_rl.envs.maze import MazeEnv
 from ppt_rl.functional.heading import to_heading
-from ppt_rl.modules.kinematics import PandaKinematics
+from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.tasks.config import make_controller
 from ppt_rl.tasks.maze.config import MazeConfig, maze_metrics, maze_space
@@ -40,7 +40,7 @@ def make_follower(config: MazeConfig) -> WallFollower:
     return WallFollower(maze_space(), lead=config.follower_lead, speed=config.follower_speed, depth=config.depth)
 
 
-def make_follower_env(config: MazeConfig, base: PandaMazeEnv) -> TransformedEnv:
+def make_follower_env(config: MazeConfig, base: MazeEnv) -> TransformedEnv:
     """The environment of the hand-written baseline: references, behind the policies' tank and impedance.
 
     Args:
@@ -50,7 +50,7 @@ def make_follower_env(config: MazeConfig, base: PandaMazeEnv) -> TransformedEnv:
     Returns:
         The environment.
     """
-    kinematics, dt = PandaKinematics(base.tool_length), config.control_dt
+    kinematics, dt = Kinematics(base.arm, base.tool_length), config.control_dt
     return TransformedEnv(
         base,
         Compose(

@@ -6,7 +6,7 @@ from typing import Any
 
 from torchrl.envs import EnvBase
 
-from ppt_rl.envs import PandaEnv, paper_layout
+from ppt_rl.envs import ArmEnv, paper_layout
 from ppt_rl.evaluation import COLUMNS, Column, Pictures, Policy, Report, SecondPass, Task
 from ppt_rl.tasks.maze.difficulty import MAZE_SWEEP
 from ppt_rl.tasks.maze.environments import make_test_env, make_training_env
@@ -39,7 +39,7 @@ _PAPER = {
 }
 
 
-def _wall_follower(policy: Policy, base: PandaEnv) -> tuple[EnvBase, Any]:
+def _wall_follower(policy: Policy, base: ArmEnv) -> tuple[EnvBase, Any]:
     """The hand-written follower, with the options of the policy."""
     return make_follower_env(policy.config, base), make_follower(policy.config)
 

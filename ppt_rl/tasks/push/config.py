@@ -10,7 +10,7 @@ from typing import Any
 from torch import nn
 from torchrl.envs import TransformedEnv
 
-from ppt_rl.envs import PandaPushEnv
+from ppt_rl.envs import PushEnv
 from ppt_rl.tasks.config import TaskConfig, env_settings
 from ppt_rl.training import make_actor_critic
 
@@ -108,7 +108,7 @@ class StepWiseConfig(PushConfig):
 
 def make_push_env(
     config: PushConfig, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[Any] = ()
-) -> PandaPushEnv:
+) -> PushEnv:
     """The bare environment of a pushing recipe, the same in training and test.
 
     Args:
@@ -127,7 +127,7 @@ def make_push_env(
     if given:
         raise ValueError(f"{len(given)} episodes are given; expected none, since pushing episodes are drawn.")
     settings = env_settings(config, num_envs=num_envs, seed=seed, audit=audit)
-    return PandaPushEnv(box_sizes=config.box_sizes, duration=config.duration, **settings)
+    return PushEnv(box_sizes=config.box_sizes, duration=config.duration, **settings)
 
 
 def make_push_policy(

@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
-from ppt_rl.envs import PandaPushEnv
+from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Policy
 from ppt_rl.evaluation.figures import save_figure
 
@@ -22,7 +22,7 @@ _BLUE, _ORANGE, _GREEN = "#1f5fa8", "#d9701a", "#2a9d4a"
 Array = NDArray[np.float64]
 
 
-def draw_push_episode(policy: Policy, env: PandaPushEnv, episode: TensorDictBase, path: Path) -> None:
+def draw_push_episode(policy: Policy, env: PushEnv, episode: TensorDictBase, path: Path) -> None:
     """Draw one recorded episode of a policy.
 
     Args:
