@@ -12,8 +12,8 @@ from torch import nn
 from torchrl.envs import TransformedEnv
 
 from ppt_rl.envs.maze import PandaMazeEnv
-from ppt_rl.envs.maze.episode import MazeRewards
 from ppt_rl.envs.maze.layout import MazeLayout
+from ppt_rl.envs.maze.rewards import MazeRewards
 from ppt_rl.envs.maze.sampling import MazeRanges
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.actor_critic import Mirror
