@@ -11,7 +11,7 @@ from pathlib import Path
 from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 
-from ppt_rl.envs import MazeRewards, MazeEnv
+from ppt_rl.envs import MazeEnv, MazeRewards
 from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics
 from ppt_rl.tasks import make_controller

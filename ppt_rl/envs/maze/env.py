@@ -12,18 +12,19 @@ from torchrl.data import Composite
 
 from ppt_rl.arms import PANDA, Arm
 from ppt_rl.envs.arm import ArmEnv, Rows
-from ppt_rl.envs.maze.episode import MazeEpisodes, MazePlace, MazeRandomisation, MazeRewards
+from ppt_rl.envs.maze import rewards as reward
+from ppt_rl.envs.maze.episode import MazeEpisodes, MazePlace, MazeRandomisation
 from ppt_rl.envs.maze.geometry import WALL_HEIGHT, Corridor, build_corridor, check_corridor
 from ppt_rl.envs.maze.layout import MazeLayout, Straight
+from ppt_rl.envs.maze.rewards import MazeRewards
 from ppt_rl.envs.maze.sampling import MazeRanges, StraightRanges, random_maze, random_straight
 from ppt_rl.envs.maze.scene import check_pieces, maze_scene, write_corridor
 from ppt_rl.envs.models import CYLINDER
+from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 
 __all__ = ["MazeEnv"]
 
-#: Names of the four reward groups (paper, section "Problem Statement").
-_GROUPS = ("progress", "free_space", "contact", "power")
 #: The robot is told a heading off by this much at most in training: as far as a turn of the test and more [rad].
 _TRAINING_HEADING = (-0.9, 0.9)
 #: A tool whose end is this high above the floor is out of the corridor [m].
@@ -171,9 +172,6 @@ class MazeEnv(ArmEnv):
     def _prepare(self, model: Any) -> None:
         self._episode = MazeEpisodes(self.num_envs, self.dtype)
         self.layouts: list[MazeLayout | None] = [None] * self.num_envs
-        weights, dt = self.rewards, self.control_dt
-        rates = [weights.progress, -weights.free_space * dt, -dt, -weights.power * dt]
-        self._weights = torch.tensor(rates, dtype=self.dtype)
 
     def _begin(self, rows: Rows) -> np.ndarray:
         poses, headings = [], []
@@ -212,9 +210,8 @@ class MazeEnv(ArmEnv):
         self._episode.travelled[rows] = place.travelled[rows]
         self._episode.velocity = self._episode.velocity.clone()
         self._episode.velocity[rows] = 0.0
-        terms = torch.zeros(self.num_envs, len(_GROUPS), dtype=self.dtype)
         false = torch.zeros_like(self._episode.over)
-        return self._task_observation(place, terms, false, false, false)
+        return self._task_observation(place, zero_rewards(self.num_envs, self.dtype), false, false, false)
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         episode, pose = self._episode, observation["pose"]
@@ -229,35 +226,36 @@ class MazeEnv(ArmEnv):
         terms = self._reward_terms(observation, place, success, failed)
         episode.travelled, episode.velocity = place.travelled, observation["twist"][:, :3]
         episode.over = success | failed
-        task = self._task_observation(place, terms, success, left, unsafe)
-        task["reward"] = terms.sum(-1, keepdim=True)
-        return task
+        return self._task_observation(place, terms, success, left, unsafe) | {"reward": total_reward(terms)}
 
     def _task_over(self) -> Tensor:
         return self._episode.over
 
     # -- reward -------------------------------------------------------------------------------------------------------
 
-    def _reward_terms(self, observation: dict[str, Any], place: MazePlace, success: Tensor, failed: Tensor) -> Tensor:
-        """``(num_envs, 4)`` rewards of the groups, in the order of their names."""
-        episode, weights = self._episode, self.rewards
+    def _reward_terms(
+        self, observation: dict[str, Any], place: MazePlace, success: Tensor, failed: Tensor
+    ) -> dict[str, Tensor]:
+        """``(num_envs, 1)`` reward of each group."""
+        episode, weights, dt = self._episode, self.rewards, self.control_dt
         wrench, twist = observation["wrench"], observation["twist"]
-        gained = (place.travelled - episode.travelled) / episode.length
+        progress = reward.progress(
+            weights, travelled=place.travelled, previous=episode.travelled, length=episode.length
+        )
         speed = torch.linalg.vector_norm(twist[:, :2], dim=-1, keepdim=True)
-        haste = (speed / weights.cruise - 1).square()
-        pressed = wrench[:, :2].square().sum(-1, keepdim=True) / weights.force_scale**2
-        jolt = ((twist[:, :3] - episode.velocity) / self.control_dt).square().sum(-1, keepdim=True)
-        power = (wrench * twist).sum(-1, keepdim=True).abs()  # [W]
-        felt = weights.contact * pressed + weights.jolt * jolt
-        terms = torch.cat([gained, haste, felt, power], -1) * self._weights
-        terms[:, :1] += weights.success * success
-        terms[:, 2:3] -= weights.failure * failed
-        return terms
+        acceleration = (twist[:, :3] - episode.velocity) / dt
+        contact = reward.contact(weights, force=wrench[:, :2], acceleration=acceleration, dt=dt)
+        return {
+            "progress": progress + reward.arrival(weights, success=success),
+            "free_space": reward.free_space(weights, speed=speed, dt=dt),
+            "contact": contact + reward.failure(weights, failed=failed),
+            "power": work_penalty(weights.power, wrench=wrench, twist=twist, dt=dt),
+        }
 
     # -- observations -------------------------------------------------------------------------------------------------
 
     def _task_observation(
-        self, place: MazePlace, terms: Tensor, success: Tensor, left: Tensor, unsafe: Tensor
+        self, place: MazePlace, terms: dict[str, Tensor], success: Tensor, left: Tensor, unsafe: Tensor
     ) -> dict[str, Any]:
         return {
             "start_heading": self._episode.start_heading,
@@ -267,12 +265,12 @@ class MazeEnv(ArmEnv):
             "success": success,
             "left_corridor": left,
             "unsafe": unsafe,
-            "reward_terms": dict(zip(_GROUPS, terms.split(1, -1), strict=True)),
+            "reward_terms": terms,
         }
 
     def _task_spec(self, make: SpecMaker) -> Composite:
         real, flag = make.real, make.flag
         return make.nest(
             start_heading=real(1), corridor_offset=real(1), corridor_heading=real(1), progress=real(1), success=flag(),
-            left_corridor=flag(), unsafe=flag(), reward_terms=make.nest(**{name: real(1) for name in _GROUPS}),
+            left_corridor=flag(), unsafe=flag(), reward_terms=reward_spec(make),
         )  # fmt: skip

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from ppt_rl.envs import MazeRewards, MazeEnv
+from ppt_rl.envs import MazeEnv, MazeRewards
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.promp import ProMP

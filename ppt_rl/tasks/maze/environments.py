@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ppt_rl.envs import MazeLayout, MazeRanges, MazeEnv
+from ppt_rl.envs import MazeEnv, MazeLayout, MazeRanges
 from ppt_rl.tasks.config import env_settings
 from ppt_rl.tasks.maze.config import MazeConfig
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
-from ppt_rl.envs import MazeLayout, MazeEnv
+from ppt_rl.envs import MazeEnv, MazeLayout
 from ppt_rl.envs.maze.geometry import Corridor, build_corridor
 from ppt_rl.evaluation import Policy
 from ppt_rl.evaluation.figures import save_figure
