@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-_Positional = tyro.conf.Positional
+
 _Settings = Annotated[tuple[str, ...], tyro.conf.arg(name="set", metavar="NAME=VALUE ...")]
 
 
@@ -32,7 +32,7 @@ class Judged:
         num_threads: physics threads; 0 takes one per CPU.
     """
 
-    policy: Annotated[_Positional[str], tyro.conf.arg(metavar="POLICY")]
+    policy: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="POLICY")]
     recipe: str | None = None
     settings: _Settings = ()
     seed: int = 10_000
@@ -52,7 +52,7 @@ class Train:
         variant: name of a variant, or file of a recipe.
     """
 
-    variant: Annotated[_Positional[str], tyro.conf.arg(metavar="VARIANT")]
+    variant: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="VARIANT")]
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class Study:
         report_only: train nothing; tables and figures of the runs that are finished.
     """
 
-    recipes: Annotated[_Positional[tuple[str, ...]], tyro.conf.arg(metavar="RECIPE")] = ("push",)
+    recipes: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="RECIPE")] = ("push",)
     seeds: int = 3
     episodes: int = 512
     eval_seed: int = 10_000
@@ -202,7 +202,7 @@ class Sweep:
         report: directory of difficulty.json and difficulty.png.
     """
 
-    policies: Annotated[_Positional[tuple[str, ...]], tyro.conf.arg(metavar="POLICY")]
+    policies: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="POLICY")]
     episodes: int = 64
     seed: int = 30_000
     num_threads: int = 0

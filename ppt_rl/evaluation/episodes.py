@@ -20,7 +20,7 @@ from ppt_rl.transforms.macro_step import MacroStepTransform
 __all__ = ["Rows", "ZeroPolicy", "record_episodes", "run_episodes"]
 
 #: A value an episode, by metric.
-Rows = dict[str, NDArray[np.floating[Any]]]
+Rows = dict[str, NDArray[Any]]
 
 
 @torch.no_grad()

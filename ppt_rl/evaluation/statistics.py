@@ -15,7 +15,7 @@ from ppt_rl.evaluation.columns import COLUMNS, POWER_AND_WORK, Column
 
 __all__ = ["Claim", "distribution", "interquartile_mean", "interval", "judge", "over_seeds", "summarise"]
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 
 def interval(values: Array, *, is_rate: bool) -> tuple[float, float]:

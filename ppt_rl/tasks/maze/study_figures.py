@@ -9,7 +9,6 @@ from ppt_rl.envs import paper_layout
 from ppt_rl.evaluation.runs import KeptRun
 from ppt_rl.evaluation.study_figures import plot_promp
 from ppt_rl.tasks.maze.figures import plot_layout, plot_rollouts
-from ppt_rl.tasks.maze.prior import fit_maze_prior
 
 __all__ = ["draw_maze_study"]
 
@@ -28,5 +27,6 @@ def draw_maze_study(groups: Mapping[str, Sequence[KeptRun]], directory: Path) ->
     for run, *_ in groups.values():
         if run.recipe.has_reference and not (directory / "prior.png").exists():
             config = run.config()
-            promp = fit_maze_prior(run.recipe.make_modules(config)["promp"], config)
-            plot_promp(promp, None, directory / "prior.png", labels=["ahead [m]", "left [m]", "up [m]"])
+            modules = run.recipe.make_modules(config)
+            run.recipe.fit(config, **modules)
+            plot_promp(modules["promp"], None, directory / "prior.png", labels=["ahead [m]", "left [m]", "up [m]"])

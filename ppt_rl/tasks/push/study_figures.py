@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ppt_rl.evaluation.runs import KeptRun
 from ppt_rl.evaluation.study_figures import plot_filmstrip, plot_promp
 from ppt_rl.evaluation.video import pictures
-from ppt_rl.tasks.push.prior import PUSH_AXES, fit_push_prior
+from ppt_rl.tasks.push.prior import PUSH_AXES
 
 __all__ = ["draw_push_study"]
 
@@ -35,10 +35,10 @@ def draw_push_study(groups: Mapping[str, Sequence[KeptRun]], directory: Path) ->
         env = task.make_test_env(config, num_envs=task.pictures.rollouts, seed=seed, audit=False)
         episode = env.reset()[0]
         if run.recipe.has_reference and not (directory / "promp.png").exists():
-            promp = fit_push_prior(modules["promp"])
+            run.recipe.fit(config, **modules)
             via = {key: episode[key] for key in ("via_phase", "via_position", "via_cov")}
             axes = [f"{axis} [{'rad' if axis == 'yaw' else 'm'}]" for axis in PUSH_AXES]
-            plot_promp(promp, via, directory / "promp.png", labels=axes)
+            plot_promp(modules["promp"], via, directory / "promp.png", labels=axes)
         rollouts = run.rollouts()
         steps = int(rollouts["steps"][0])
         chosen = np.linspace(0, steps - 1, _PICTURES).round().astype(int)
