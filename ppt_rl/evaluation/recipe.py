@@ -57,7 +57,7 @@ class Recipe:
     config: type
     make_chain: Callable[..., list[Transform]]
     make_policy: Callable[[Any, TransformedEnv], tuple[nn.Module, nn.Module]]
-    make_modules: Callable[[Any], Mapping[str, nn.Module]] = _no_modules
+    make_modules: Callable[[Any], Mapping[str, Any]] = _no_modules
     fit: Callable[..., None] = _no_fit
     has_tank: bool = False
     has_reference: bool = False
