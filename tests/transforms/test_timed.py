@@ -10,10 +10,12 @@ import pytest
 import torch
 from torchrl.envs import Compose, ParallelEnv, PendulumEnv, SerialEnv, StepCounter, TransformedEnv
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
-from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules import Kinematics
 from ppt_rl.transforms import EnergyTankTransform, EpisodeMetricsTransform, JointTorqueTransform, MacroStepTransform
 from ppt_rl.transforms.timed import control_step
+from tests.engines import ONE_THREAD
 from tests.transforms.cases import CASES, control_chain, make_base, make_env
 from tests.transforms.mocks import MockArmEnv, actions_for, play
 
@@ -88,7 +90,7 @@ def test_an_environment_with_an_impossible_control_step_is_refused(bad):
 
 @pytest.mark.parametrize("dt", [0.02, 0.005])
 def test_the_tank_charges_power_times_the_control_step_of_the_simulated_arm(dt):
-    env = TransformedEnv(PandaPushEnv(2, control_dt=dt, num_threads=1, seed=0), EnergyTankTransform())
+    env = TransformedEnv(PandaPushEnv(2, control_dt=dt, engine=ONE_THREAD, seed=0), EnergyTankTransform())
     steps = play(env, actions_for(env, 10, scale=20.0))
     power = steps["next", "valve"] * (steps["action"] * steps["joint_velocity"]).sum(-1, keepdim=True).abs()
     spent = steps["tank_energy"][:, 0] - steps["next", "tank_energy"][:, -1]
@@ -132,9 +134,9 @@ def test_torchrls_own_pendulum_takes_a_given_step_or_an_attribute_of_its_own():
 def test_joint_torque_without_a_rate_limit_needs_no_control_step_but_refuses_a_wrong_one():
     base = MockArmEnv((2,))
     base.control_dt = None
-    play(TransformedEnv(base, JointTorqueTransform(PandaKinematics(0.1))), torch.zeros(2, 2, 6))
+    play(TransformedEnv(base, JointTorqueTransform(Kinematics(PANDA, 0.1))), torch.zeros(2, 2, 6))
     with pytest.raises(ValueError, match=r"JointTorqueTransform has dt=0\.02 s"):
-        TransformedEnv(MockArmEnv((2,)), JointTorqueTransform(PandaKinematics(0.1), dt=0.02)).reset()
+        TransformedEnv(MockArmEnv((2,)), JointTorqueTransform(Kinematics(PANDA, 0.1), dt=0.02)).reset()
 
 
 def test_a_cutoff_that_the_control_rate_of_the_environment_is_too_slow_for_is_refused():

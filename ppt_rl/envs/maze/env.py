@@ -10,19 +10,21 @@ import torch
 from torch import Tensor
 from torchrl.data import Composite
 
-from ppt_rl.envs.arm import PandaEnv, Rows
-from ppt_rl.envs.maze.episode import MazeEpisodes, MazePlace, MazeRandomisation, MazeRewards
+from ppt_rl.arms import PANDA, Arm
+from ppt_rl.envs.arm import ArmEnv, Rows
+from ppt_rl.envs.maze import rewards as reward
+from ppt_rl.envs.maze.episode import MazeEpisodes, MazePlace, MazeRandomisation
 from ppt_rl.envs.maze.geometry import WALL_HEIGHT, Corridor, build_corridor, check_corridor
 from ppt_rl.envs.maze.layout import MazeLayout, Straight
+from ppt_rl.envs.maze.rewards import MazeRewards
 from ppt_rl.envs.maze.sampling import MazeRanges, StraightRanges, random_maze, random_straight
 from ppt_rl.envs.maze.scene import check_pieces, maze_scene, write_corridor
 from ppt_rl.envs.models import CYLINDER
+from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 
-__all__ = ["PandaMazeEnv"]
+__all__ = ["MazeEnv"]
 
-#: Names of the four reward groups (paper, section "Problem Statement").
-_GROUPS = ("progress", "free_space", "contact", "power")
 #: The robot is told a heading off by this much at most in training: as far as a turn of the test and more [rad].
 _TRAINING_HEADING = (-0.9, 0.9)
 #: A tool whose end is this high above the floor is out of the corridor [m].
@@ -35,7 +37,7 @@ _STRAIGHT_STREAM, _MAZE_STREAM = 0, 1
 Source = Callable[[np.random.Generator], MazeLayout]
 
 
-class PandaMazeEnv(PandaEnv):
+class MazeEnv(ArmEnv):
     """Slide a cylinder through a corridor to its open end, with no map: only touch tells where the walls are.
 
     Make it by :meth:`straight` (training), :meth:`mazes` (test) or :meth:`of` (layouts of your own). Mazes are written
@@ -43,7 +45,7 @@ class PandaMazeEnv(PandaEnv):
 
     An episode is terminated where the end is reached (``success``), where the tool ``left_corridor`` (its axis beyond a
     wall's face, or its end lifted over the walls), or where the force is above ``max_force`` (``unsafe``). Adds to the
-    observations of :class:`PandaEnv`:
+    observations of :class:`ArmEnv`:
 
     * ``start_heading`` 1 [rad]: of the corridor at its start, as the robot is told, with some error; known in the test;
     * ``corridor_offset`` 1 [m] and ``corridor_heading`` 1 [rad]: where the tool is in the corridor, to the left of its
@@ -59,7 +61,7 @@ class PandaMazeEnv(PandaEnv):
         rewards: weights of the reward groups.
         max_force: largest safe force at the wrist [N].
         duration: episode length [s].
-        **kwargs: as for :class:`PandaEnv`.
+        **kwargs: as for :class:`ArmEnv`.
 
     Raises:
         ValueError: if a number is out of range, or a maze cannot be built.
@@ -68,7 +70,7 @@ class PandaMazeEnv(PandaEnv):
         Paper, section "Maze Sliding".
 
     Examples:
-        >>> env = PandaMazeEnv.straight(2, seed=0)
+        >>> env = MazeEnv.straight(2, seed=0)
         >>> env.reset()["start_heading"].shape
         torch.Size([2, 1])
     """
@@ -96,41 +98,48 @@ class PandaMazeEnv(PandaEnv):
         super().__init__(num_envs, duration=duration, **kwargs)
 
     @classmethod
-    def straight(cls, num_envs: int = 1, *, ranges: StraightRanges | None = None, **kwargs: Any) -> PandaMazeEnv:
+    def straight(
+        cls, num_envs: int = 1, *, ranges: StraightRanges | None = None, arm: Arm = PANDA, **kwargs: Any
+    ) -> MazeEnv:
         """The training set: straight corridors in random places and directions, and a heading told badly.
 
         Args:
             num_envs: number of environments.
             ranges: of the corridors.
+            arm: the arm, in whose reach they lie.
             **kwargs: as for the class.
 
         Returns:
             The environment. It cannot make a turn.
         """
         kwargs.setdefault("randomisation", MazeRandomisation(heading_error=_TRAINING_HEADING))
-        return cls(num_envs, lambda rng: random_straight(rng, ranges), stream=_STRAIGHT_STREAM, **kwargs)
+        return cls(num_envs, lambda rng: random_straight(rng, ranges, arm), stream=_STRAIGHT_STREAM, arm=arm, **kwargs)
 
     @classmethod
-    def mazes(cls, num_envs: int = 1, *, ranges: MazeRanges | None = None, **kwargs: Any) -> PandaMazeEnv:
+    def mazes(cls, num_envs: int = 1, *, ranges: MazeRanges | None = None, arm: Arm = PANDA, **kwargs: Any) -> MazeEnv:
         """The test set: mazes with turns, ramps and discs, of a stream of randomness that training never draws from.
 
         Args:
             num_envs: number of environments.
             ranges: of the mazes.
+            arm: the arm, in whose reach they lie.
             **kwargs: as for the class.
 
         Returns:
             The environment.
         """
-        return cls(num_envs, lambda rng: random_maze(rng, ranges), **kwargs)
+        return cls(num_envs, lambda rng: random_maze(rng, ranges, arm), arm=arm, **kwargs)
 
     @classmethod
-    def of(cls, layouts: Sequence[MazeLayout], num_envs: int | None = None, **kwargs: Any) -> PandaMazeEnv:
+    def of(
+        cls, layouts: Sequence[MazeLayout], num_envs: int | None = None, *, arm: Arm = PANDA, **kwargs: Any
+    ) -> MazeEnv:
         """Mazes written by hand.
 
         Args:
             layouts: taken in turn, from the first again after the last.
             num_envs: number of environments; None takes one for each layout.
+            arm: the arm, in whose reach they must lie.
             **kwargs: as for the class.
 
         Returns:
@@ -143,20 +152,19 @@ class PandaMazeEnv(PandaEnv):
             raise ValueError("layouts are empty; expected at least one MazeLayout.")
         for layout in layouts:
             corridor = build_corridor(layout)
-            check_corridor(corridor, layout)
+            check_corridor(corridor, layout, arm.reach)
             check_pieces(corridor)
             first = layout.segments[0]
             if isinstance(first, Straight) and first.length < _FIRST:
                 raise ValueError(f"the first segment is {first}; expected at least {_FIRST} m, to start in.")
         position = iter(range(2**62))
-        return cls(
-            len(layouts) if num_envs is None else num_envs, lambda _: layouts[next(position) % len(layouts)], **kwargs
-        )
+        count = len(layouts) if num_envs is None else num_envs
+        return cls(count, lambda _: layouts[next(position) % len(layouts)], arm=arm, **kwargs)
 
     # -- episode ------------------------------------------------------------------------------------------------------
 
     def _scene(self) -> Any:
-        return maze_scene(self.tool, physics_dt=self.physics_dt)
+        return maze_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt)
 
     def _set_seed(self, seed: int | None) -> None:
         self._rng = np.random.default_rng(None if seed is None else [seed, self._stream])
@@ -164,9 +172,6 @@ class PandaMazeEnv(PandaEnv):
     def _prepare(self, model: Any) -> None:
         self._episode = MazeEpisodes(self.num_envs, self.dtype)
         self.layouts: list[MazeLayout | None] = [None] * self.num_envs
-        weights, dt = self.rewards, self.control_dt
-        rates = [weights.progress, -weights.free_space * dt, -dt, -weights.power * dt]
-        self._weights = torch.tensor(rates, dtype=self.dtype)
 
     def _begin(self, rows: Rows) -> np.ndarray:
         poses, headings = [], []
@@ -205,9 +210,8 @@ class PandaMazeEnv(PandaEnv):
         self._episode.travelled[rows] = place.travelled[rows]
         self._episode.velocity = self._episode.velocity.clone()
         self._episode.velocity[rows] = 0.0
-        terms = torch.zeros(self.num_envs, len(_GROUPS), dtype=self.dtype)
         false = torch.zeros_like(self._episode.over)
-        return self._task_observation(place, terms, false, false, false)
+        return self._task_observation(place, zero_rewards(self.num_envs, self.dtype), false, false, false)
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         episode, pose = self._episode, observation["pose"]
@@ -222,35 +226,36 @@ class PandaMazeEnv(PandaEnv):
         terms = self._reward_terms(observation, place, success, failed)
         episode.travelled, episode.velocity = place.travelled, observation["twist"][:, :3]
         episode.over = success | failed
-        task = self._task_observation(place, terms, success, left, unsafe)
-        task["reward"] = terms.sum(-1, keepdim=True)
-        return task
+        return self._task_observation(place, terms, success, left, unsafe) | {"reward": total_reward(terms)}
 
     def _task_over(self) -> Tensor:
         return self._episode.over
 
     # -- reward -------------------------------------------------------------------------------------------------------
 
-    def _reward_terms(self, observation: dict[str, Any], place: MazePlace, success: Tensor, failed: Tensor) -> Tensor:
-        """``(num_envs, 4)`` rewards of the groups, in the order of their names."""
-        episode, weights = self._episode, self.rewards
+    def _reward_terms(
+        self, observation: dict[str, Any], place: MazePlace, success: Tensor, failed: Tensor
+    ) -> dict[str, Tensor]:
+        """``(num_envs, 1)`` reward of each group."""
+        episode, weights, dt = self._episode, self.rewards, self.control_dt
         wrench, twist = observation["wrench"], observation["twist"]
-        gained = (place.travelled - episode.travelled) / episode.length
+        progress = reward.progress(
+            weights, travelled=place.travelled, previous=episode.travelled, length=episode.length
+        )
         speed = torch.linalg.vector_norm(twist[:, :2], dim=-1, keepdim=True)
-        haste = (speed / weights.cruise - 1).square()
-        pressed = wrench[:, :2].square().sum(-1, keepdim=True) / weights.force_scale**2
-        jolt = ((twist[:, :3] - episode.velocity) / self.control_dt).square().sum(-1, keepdim=True)
-        power = (wrench * twist).sum(-1, keepdim=True).abs()  # [W]
-        felt = weights.contact * pressed + weights.jolt * jolt
-        terms = torch.cat([gained, haste, felt, power], -1) * self._weights
-        terms[:, :1] += weights.success * success
-        terms[:, 2:3] -= weights.failure * failed
-        return terms
+        acceleration = (twist[:, :3] - episode.velocity) / dt
+        contact = reward.contact(weights, force=wrench[:, :2], acceleration=acceleration, dt=dt)
+        return {
+            "progress": progress + reward.arrival(weights, success=success),
+            "free_space": reward.free_space(weights, speed=speed, dt=dt),
+            "contact": contact + reward.failure(weights, failed=failed),
+            "power": work_penalty(weights.power, wrench=wrench, twist=twist, dt=dt),
+        }
 
     # -- observations -------------------------------------------------------------------------------------------------
 
     def _task_observation(
-        self, place: MazePlace, terms: Tensor, success: Tensor, left: Tensor, unsafe: Tensor
+        self, place: MazePlace, terms: dict[str, Tensor], success: Tensor, left: Tensor, unsafe: Tensor
     ) -> dict[str, Any]:
         return {
             "start_heading": self._episode.start_heading,
@@ -260,12 +265,12 @@ class PandaMazeEnv(PandaEnv):
             "success": success,
             "left_corridor": left,
             "unsafe": unsafe,
-            "reward_terms": dict(zip(_GROUPS, terms.split(1, -1), strict=True)),
+            "reward_terms": terms,
         }
 
     def _task_spec(self, make: SpecMaker) -> Composite:
         real, flag = make.real, make.flag
         return make.nest(
             start_heading=real(1), corridor_offset=real(1), corridor_heading=real(1), progress=real(1), success=flag(),
-            left_corridor=flag(), unsafe=flag(), reward_terms=make.nest(**{name: real(1) for name in _GROUPS}),
+            left_corridor=flag(), unsafe=flag(), reward_terms=reward_spec(make),
         )  # fmt: skip

@@ -12,7 +12,7 @@ from torch import Tensor
 from ppt_rl.envs.arm import Rows
 from ppt_rl.envs.maze.geometry import Corridor
 
-__all__ = ["MazeEpisodes", "MazePlace", "MazeRandomisation", "MazeRewards"]
+__all__ = ["MazeEpisodes", "MazePlace", "MazeRandomisation"]
 
 #: Corners of a centre line that an environment has room for.
 _CORNERS = 40
@@ -39,34 +39,6 @@ class MazeRandomisation:
                 raise ValueError(f"randomisation range {name} is ({low}, {high}); expected low <= high.")
         if self.along[0] < 0.02 or max(map(abs, self.across)) > 0.95:
             raise ValueError(f"{self} puts the tool into a wall; expected along >= 0.02 m and across within +-0.95.")
-
-
-@dataclass(frozen=True)
-class MazeRewards:
-    """Weights of the four reward groups; each group is its own entry under ``reward_terms``.
-
-    Attributes:
-        progress: of the way along the centre line, whole way = 1 [1].
-        success: where the end is reached [1].
-        free_space: penalty rate on speed other than ``cruise``, with the square of the relative difference: a straight
-            corridor alone does not teach that the next turn may be near [1/s].
-        cruise: speed to go at [m/s].
-        contact: penalty rate at a force of ``force_scale`` on the map, and with its square [1/s].
-        force_scale: [N].
-        jolt: penalty rate at an acceleration of 1 m/s^2, and with its square [1/s].
-        failure: penalty where the tool leaves the corridor or the force is unsafe [1].
-        power: penalty on measured work, in or out [1/J].
-    """
-
-    progress: float = 1.0
-    success: float = 1.0
-    free_space: float = 20.0
-    cruise: float = 0.0565
-    contact: float = 12.0
-    force_scale: float = 4.0
-    jolt: float = 5.0
-    failure: float = 2.0
-    power: float = 0.1
 
 
 class MazePlace(NamedTuple):

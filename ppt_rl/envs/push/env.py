@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,16 +10,17 @@ import torch
 from torch import Tensor
 from torchrl.data import Composite
 
-from ppt_rl.envs.arm import PandaEnv, Rows
-from ppt_rl.envs.push.episode import BOXES, PushEpisodes, PushRandomisation, draw_episodes
+from ppt_rl.envs.arm import ArmEnv, Rows
+from ppt_rl.envs.push import rewards as reward
+from ppt_rl.envs.push.episode import BOXES, PushDistances, PushEpisodes, PushRandomisation, draw_episodes
+from ppt_rl.envs.push.rewards import PushRewards
 from ppt_rl.envs.push.scene import PUSH_BOX, push_scene
 from ppt_rl.envs.readings import sensor_span
+from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 
-__all__ = ["PandaPushEnv", "PushRewards"]
+__all__ = ["PushEnv"]
 
-#: Names of the four reward groups (paper, section "Problem Statement").
-REWARD_GROUPS = ("progress", "free_space", "contact", "power")
 #: A box counts as flat when its vertical axis is within 10 degrees and its centre within 5 mm of lying [-], [m].
 _FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
 #: Yaw of the paddle behind the box, as a share of the push's: the box stands square to the table, give or take, so in a
@@ -28,34 +28,11 @@ _FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
 _APPROACH_YAW = 0.7
 
 
-@dataclass(frozen=True)
-class PushRewards:
-    """Weights of the four reward groups; each group is its own entry under ``reward_terms``.
-
-    Attributes:
-        progress: of the box's way to the goal, whole way = 1 [1].
-        precision: at the end, times ``exp(-distance / 2 cm)`` [1].
-        success: at the end, if the task is done [1].
-        free_space: before first touch, of the tool's way to the box, whole way = 1 [1].
-        contact: penalty on contact force above ``force_limit`` [1/(N s)].
-        force_limit: [N].
-        power: penalty on measured work, in or out [1/J].
-    """
-
-    progress: float = 1.0
-    precision: float = 1.0
-    success: float = 1.0
-    free_space: float = 0.2
-    contact: float = 0.2
-    force_limit: float = 5.0
-    power: float = 0.1
-
-
-class PandaPushEnv(PandaEnv):
+class PushEnv(ArmEnv):
     """Push a box to a goal within the horizon and leave it there, flat.
 
     Success is judged at the end: the box's centre within ``success_radius`` of the goal, and flat. Adds to the
-    observations of :class:`PandaEnv`:
+    observations of :class:`ArmEnv`:
 
     * ``box_pose`` 7 [m, -]: privileged, for critics; a policy for deployment leaves it out;
     * ``box_start`` 2 and ``goal`` 2 [m], ``box_size`` 1 [m]: what is known at test time, fixed over an episode;
@@ -71,7 +48,7 @@ class PandaPushEnv(PandaEnv):
         randomisation: ranges of what is drawn.
         rewards: weights of the reward groups.
         success_radius: [m].
-        **kwargs: as for :class:`PandaEnv`.
+        **kwargs: as for :class:`ArmEnv`.
 
     Raises:
         ValueError: if a box size is unknown or a number is out of range.
@@ -80,7 +57,7 @@ class PandaPushEnv(PandaEnv):
         Paper, section "Box Pushing".
 
     Examples:
-        >>> env = PandaPushEnv(num_envs=2, box_sizes=(0.06,), seed=0)
+        >>> env = PushEnv(num_envs=2, box_sizes=(0.06,), seed=0)
         >>> env.reset()["goal"].shape
         torch.Size([2, 2])
     """
@@ -111,15 +88,11 @@ class PandaPushEnv(PandaEnv):
     # -- episode ------------------------------------------------------------------------------------------------------
 
     def _scene(self) -> Any:
-        return push_scene(self.tool, physics_dt=self.physics_dt)
+        return push_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt)
 
     def _prepare(self, model: Any) -> None:
         self._box_slice = sensor_span(model, "box_position", "box_orientation")
         self._episode = PushEpisodes(self.num_envs, self.dtype)
-        weights, dt = self.rewards, self.control_dt
-        # Per group: progress and free space are shares of a way, contact and power are rates.
-        rates = [weights.progress, weights.free_space, -weights.contact * dt, -weights.power * dt]
-        self._weights = torch.tensor(rates, dtype=self.dtype)
 
     def _begin(self, rows: Rows) -> np.ndarray:
         drawn = draw_episodes(self._rng, len(rows), self.randomisation, self.box_sizes)
@@ -152,49 +125,59 @@ class PandaPushEnv(PandaEnv):
     def _task_reset(self, rows: Tensor) -> dict[str, Any]:
         episode, box = self._episode, self._sensors[:, self._box_slice]
         tool = self._sensors[:, self._readings.slices["pose"]]
-        ways = self._ways(box, tool)
-        episode.ways[rows], episode.first_ways[rows] = ways[rows], ways[rows].clamp_min(1e-3)
-        episode.touched[rows] = False
+        distances = self._distances(box, tool)
+        episode.begin(rows, distances)
         episode.via_position[rows] = self._via_points(tool)[rows]
-        terms = torch.zeros(self.num_envs, len(REWARD_GROUPS), dtype=self.dtype)
-        return self._task_observation(box, terms, ways, self._success(box, ways, self._elapsed >= self.horizon))
+        success = self._success(box, distances, self._elapsed >= self.horizon)
+        return self._task_observation(box, zero_rewards(self.num_envs, self.dtype), distances, success)
 
-    def _success(self, box: Tensor, ways: Tensor, ended: Tensor) -> Tensor:
+    def _success(self, box: Tensor, distances: PushDistances, ended: Tensor) -> Tensor:
         if not bool(ended.any()):
             return torch.zeros_like(ended)
-        return ended & (ways[:, :1] < self.success_radius) & self._is_flat(box)
+        return ended & (distances.box_to_goal < self.success_radius) & self._is_flat(box)
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         episode, box = self._episode, self._sensors[:, self._box_slice]
-        ways = self._ways(box, observation["pose"])
-        success = self._success(box, ways, ended)
-        terms = self._reward_terms(observation, ways, success, ended)
-        episode.ways = ways
-        episode.touched = episode.touched | (ways[:, :1] < episode.first_ways[:, :1] - 1e-3)
-        task = self._task_observation(box, terms, ways, success)
-        task["reward"] = terms.sum(-1, keepdim=True)
-        return task
+        distances = self._distances(box, observation["pose"])
+        success = self._success(box, distances, ended)
+        terms = self._reward_terms(observation, distances, success, ended)
+        episode.advance(distances)
+        return self._task_observation(box, terms, distances, success) | {"reward": total_reward(terms)}
 
     # -- reward -------------------------------------------------------------------------------------------------------
 
-    def _reward_terms(self, observation: dict[str, Any], ways: Tensor, success: Tensor, ended: Tensor) -> Tensor:
-        """``(num_envs, 4)`` rewards of the groups, in the order of :data:`REWARD_GROUPS`."""
-        episode, weights = self._episode, self.rewards
-        wrench = observation["wrench"]
-        gained = (episode.ways - ways) / episode.first_ways
-        excess = (torch.linalg.vector_norm(wrench[:, :3], dim=-1, keepdim=True) - weights.force_limit).clamp_min(0.0)
-        power = (wrench * observation["twist"]).sum(-1, keepdim=True).abs()  # [W]
-        terms = torch.cat([gained, excess, power], -1) * self._weights
-        terms[:, 1:2] *= ~episode.touched
+    def _reward_terms(
+        self, observation: dict[str, Any], distances: PushDistances, success: Tensor, ended: Tensor
+    ) -> dict[str, Tensor]:
+        """``(num_envs, 1)`` reward of each group."""
+        episode, weights, dt = self._episode, self.rewards, self.control_dt
+        wrench, twist = observation["wrench"], observation["twist"]
+        before, first = episode.previous, episode.initial
+        progress = reward.progress(
+            weights, distance=distances.box_to_goal, previous=before.box_to_goal, initial=first.box_to_goal
+        )
         if bool(ended.any()):
-            precision = weights.precision * torch.exp(-ways[:, :1] / self.success_radius)
-            terms[:, :1] += (precision + weights.success * success) * ended
-        return terms
+            progress += reward.arrival(
+                weights, distance=distances.box_to_goal, success=success, ended=ended, radius=self.success_radius
+            )
+        approach = reward.free_space(
+            weights, distance=distances.tool_to_box, previous=before.tool_to_box, initial=first.tool_to_box,
+            touched=episode.touched,
+        )  # fmt: skip
+        force = torch.linalg.vector_norm(wrench[:, :3], dim=-1, keepdim=True)
+        return {
+            "progress": progress,
+            "free_space": approach,
+            "contact": reward.contact(weights, force=force, dt=dt),
+            "power": work_penalty(weights.power, wrench=wrench, twist=twist, dt=dt),
+        }
 
-    def _ways(self, box: Tensor, tool: Tensor) -> Tensor:
-        """``(num_envs, 2)`` distances in the plane, box to goal and tool to box [m]."""
-        plane = torch.stack([self._episode.goal, tool[:, :2]], 1) - box[:, None, :2]
-        return torch.linalg.vector_norm(plane, dim=-1)
+    def _distances(self, box: Tensor, tool: Tensor) -> PushDistances:
+        norm = torch.linalg.vector_norm
+        return PushDistances(
+            box_to_goal=norm(self._episode.goal - box[:, :2], dim=-1, keepdim=True),
+            tool_to_box=norm(tool[:, :2] - box[:, :2], dim=-1, keepdim=True),
+        )
 
     def _is_flat(self, box: Tensor) -> Tensor:
         x, y = box[:, 4:5], box[:, 5:6]
@@ -215,7 +198,9 @@ class PandaPushEnv(PandaEnv):
         end = torch.cat([episode.goal - offset * direction, yaw], -1)
         return torch.stack([start, behind, end], 1)
 
-    def _task_observation(self, box: Tensor, terms: Tensor, ways: Tensor, success: Tensor) -> dict[str, Any]:
+    def _task_observation(
+        self, box: Tensor, terms: dict[str, Tensor], distances: PushDistances, success: Tensor
+    ) -> dict[str, Any]:
         episode = self._episode
         return {
             "box_pose": box,
@@ -226,9 +211,9 @@ class PandaPushEnv(PandaEnv):
             "via_position": episode.via_position,
             "via_cov": episode.via_cov,
             "via_mask": episode.via_mask,
-            "progress": (1 - ways[:, :1] / episode.first_ways[:, :1]).clamp(0.0, 1.0),
+            "progress": (1 - distances.box_to_goal / episode.initial.box_to_goal).clamp(0.0, 1.0),
             "success": success,
-            "reward_terms": dict(zip(REWARD_GROUPS, terms.split(1, -1), strict=True)),
+            "reward_terms": terms,
         }
 
     def _task_spec(self, make: SpecMaker) -> Composite:
@@ -236,5 +221,5 @@ class PandaPushEnv(PandaEnv):
         return make.nest(
             box_pose=real(7), box_start=real(2), box_size=real(1), goal=real(2), via_phase=real(3),
             via_position=real(3, 3), via_cov=real(3, 3, 3), via_mask=flag(3), progress=real(1), success=flag(),
-            reward_terms=make.nest(**{name: real(1) for name in REWARD_GROUPS}),
+            reward_terms=reward_spec(make),
         )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from ppt_rl.envs.arm import Rows
 
-__all__ = ["BOXES", "PushEpisodes", "PushRandomisation", "draw_episodes"]
+__all__ = ["BOXES", "PushDistances", "PushEpisodes", "PushRandomisation", "draw_episodes"]
 
 #: Nominal boxes: edge [m] to mass [kg] (paper, section "Box Pushing").
 BOXES = {0.06: 0.050, 0.08: 0.080}
@@ -55,6 +56,18 @@ _VIA_PHASE = (0.0, 0.35, 1.0)
 _VIA_STD = ((1e-3, 1e-3, 1e-2), (5e-3, 5e-3, 3e-2), (1e-3, 1e-3, 1e-2))
 
 
+class PushDistances(NamedTuple):
+    """Distances on the map, between centres.
+
+    Attributes:
+        box_to_goal: ``(B, 1)`` [m].
+        tool_to_box: ``(B, 1)`` [m].
+    """
+
+    box_to_goal: Tensor
+    tool_to_box: Tensor
+
+
 @dataclass
 class PushEpisodes:
     """What was drawn for each environment, and what the reward remembers.
@@ -75,7 +88,7 @@ class PushEpisodes:
 
         self.physical = {name: np.zeros(self.num_envs) for name in ("half", "mass", "friction")}
         self.half, self.box_start, self.goal = zeros(1), zeros(2), zeros(2)
-        self.ways, self.first_ways = zeros(2), zeros(2) + 1  # box to goal, tool to box
+        self.previous, self.initial = PushDistances(zeros(1), zeros(1)), PushDistances(zeros(1) + 1, zeros(1) + 1)
         self.touched = torch.zeros(self.num_envs, 1, dtype=torch.bool)
         self.via_phase = torch.tensor(_VIA_PHASE, dtype=self.dtype).repeat(self.num_envs, 1)
         self.via_position = zeros(3, 3)
@@ -97,8 +110,22 @@ class PushEpisodes:
             tensor[index] = torch.from_numpy(value).to(self.dtype)
             setattr(self, name, tensor)
         self.via_position = self.via_position.clone()
-        for name in ("ways", "first_ways", "touched"):
-            setattr(self, name, getattr(self, name).clone())
+
+    def begin(self, rows: Tensor, distances: PushDistances) -> None:
+        """Measure progress from here on.
+
+        Args:
+            rows: environments whose episode begins.
+            distances: of all environments.
+        """
+        for previous, initial, now in zip(self.previous, self.initial, distances, strict=True):
+            previous[rows], initial[rows] = now[rows], now[rows].clamp_min(1e-3)
+        self.touched[rows] = False
+
+    def advance(self, distances: PushDistances) -> None:
+        """Take over the distances after a control step. A box that is 1 mm nearer to its goal has been touched."""
+        self.previous = distances
+        self.touched = self.touched | (distances.box_to_goal < self.initial.box_to_goal - 1e-3)
 
 
 def draw_episodes(
