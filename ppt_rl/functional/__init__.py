@@ -1,5 +1,7 @@
 """The laws of the library as pure functions of tensors."""
 
+from ppt_rl.functional.contact import WallTouch
+from ppt_rl.functional.contact_via_point import ViaPointConfig
 from ppt_rl.functional.energy_tank import EnergyTankStep, energy_tank
 from ppt_rl.functional.impedance import (
     cartesian_impedance,
@@ -14,6 +16,8 @@ from ppt_rl.functional.metrics import MetricsConfig, begin_metrics, summarise_me
 __all__ = [
     "EnergyTankStep",
     "MetricsConfig",
+    "ViaPointConfig",
+    "WallTouch",
     "begin_metrics",
     "cartesian_impedance",
     "critical_damping",

@@ -40,8 +40,7 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         flow_key: the velocity it works on, an observation; None takes ``twist`` or ``joint_velocity``, whichever has
             the action's size.
         eps: smallest power that is divided by [W].
-        energy_key: where the level is written.
-        valve_key: where the factor is written.
+        out_keys: where the level and the valve are written.
 
     Raises:
         ValueError: if a number is out of range, the mode is unknown, or an input is not finite.
@@ -67,10 +66,11 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         effort_key: NestedKey = "action",
         flow_key: NestedKey | None = None,
         eps: float = 1e-6,
-        energy_key: NestedKey = "tank_energy",
-        valve_key: NestedKey = "valve",
+        out_keys: tuple[NestedKey, NestedKey] = ("tank_energy", "valve"),
     ) -> None:
         super().__init__(effort_key)
+        if len(out_keys) != 2:
+            raise ValueError(f"out_keys are {out_keys}; expected two: where the level and the valve are written.")
         if mode != "paper":
             raise ValueError(f"mode is {mode!r}; expected 'paper', the only law there is.")
         self.p_max = require_positive("p_max", p_max, "W")
@@ -79,8 +79,8 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         self.eps = require_positive("eps", eps, "W")
         self.mode = mode
         self.flow_key = flow_key
-        self.energy_key = energy_key
-        self.valve_key = valve_key
+        self.out_keys = list(out_keys)
+        self.energy_key, self.valve_key = out_keys
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (effort,) = self._require(tensordict, self.action_key)

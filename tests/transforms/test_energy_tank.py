@@ -17,8 +17,7 @@ from tests.transforms.mocks import MockArmEnv, NestedEffortEnv, actions_for, pla
 NESTED = {
     "effort_key": ("agent", "action"),
     "flow_key": ("agent", "twist"),
-    "energy_key": ("agent", "tank_energy"),
-    "valve_key": ("agent", "valve"),
+    "out_keys": (("agent", "tank_energy"), ("agent", "valve")),
 }
 
 
@@ -75,6 +74,12 @@ def test_a_flow_of_another_shape_than_the_effort_is_refused():
 def test_a_number_out_of_range_is_refused_by_name(name, value):
     with pytest.raises(ValueError, match=name):
         EnergyTankTransform(**{name: value})
+
+
+@pytest.mark.parametrize("keys", [(), ("tank_energy",), ("a", "b", "c")])
+def test_other_than_two_keys_to_write_are_refused(keys):
+    with pytest.raises(ValueError, match="expected two: where the level and the valve are written"):
+        EnergyTankTransform(out_keys=keys)
 
 
 def test_an_unknown_mode_is_refused():
