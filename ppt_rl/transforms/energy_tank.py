@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from ppt_rl.functional.checks import require_positive
-from ppt_rl.functional.energy_tank import energy_tank
+from ppt_rl.functional.energy_tank import TANK_LAWS
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.timed import TimedTransform
 
@@ -71,13 +71,16 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         super().__init__(effort_key)
         if len(out_keys) != 2:
             raise ValueError(f"out_keys are {out_keys}; expected two: where the level and the valve are written.")
-        if mode != "paper":
-            raise ValueError(f"mode is {mode!r}; expected 'paper', the only law there is.")
+        if mode not in TANK_LAWS:
+            raise ValueError(
+                f"mode is {mode!r}; expected one of {list(TANK_LAWS)}. A law of your own is registered in "
+                "ppt_rl.functional.energy_tank.TANK_LAWS."
+            )
         self.p_max = require_positive("p_max", p_max, "W")
         self.e_max = require_positive("e_max", e_max, "J")
         self.dt = dt
         self.eps = require_positive("eps", eps, "W")
-        self.mode = mode
+        self.mode, self.law = mode, TANK_LAWS[mode]
         self.flow_key = flow_key
         self.out_keys = list(out_keys)
         self.energy_key, self.valve_key = out_keys
@@ -88,7 +91,7 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         energy = tensordict.get(self.energy_key, None)
         if energy is None:
             energy = torch.full_like(effort[..., :1], self.e_max)
-        step = energy_tank(effort, flow, energy, p_max=self.p_max, e_max=self.e_max, dt=self.dt, eps=self.eps)
+        step = self.law(effort, flow, energy, p_max=self.p_max, e_max=self.e_max, dt=self.dt, eps=self.eps)
         tensordict.set(self.action_key, step.valve * effort)
         self._stash(tensordict, self.energy_key, step.energy)
         self._stash(tensordict, self.valve_key, step.valve)
