@@ -5,43 +5,45 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from tensordict.utils import NestedKey, expand_as_right
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from ppt_rl.functional.checks import require_finite
 from ppt_rl.transforms.base import ActionTransform
-from ppt_rl.transforms.specs import replace_leaf
+from ppt_rl.transforms.chunk import ChunkMemory, carried, trace_key, where
+from ppt_rl.transforms.specs import replace_leaf, set_leaf
 
 __all__ = ["MacroStepTransform"]
 
-_PRIVATE = "_macro_step"
+_MEMORY = "_macro_step"
+_SUMMED = "_keys_summed_by_macro_step"
 
 
 class MacroStepTransform(ActionTransform):
-    r"""Executes a chunk of actions, ``(*B, N, A)``, as one step of the environment outside.
+    r"""Executes a chunk of actions, ``(*B, N, A)``, as one step of the outer environment.
 
-    What is appended before it runs at control rate, what is appended after it once per chunk. Compared with torchrl's
-    ``MultiAction`` it aggregates rewards, keeps every shape uniform, and freezes rows that end inside the chunk.
+    Transforms appended before it run at control rate, those appended after it once per chunk. Unlike torchrl's
+    ``MultiAction`` it aggregates rewards, keeps all shapes uniform, and freezes environments that end inside the chunk.
 
-    * reward keys, ``cost``, and what stands under ``reward_terms``, are summed: ``sum_k discount^k r_k``;
-    * the other entries are those of the last control step that a row executed;
-    * ``control_steps`` ``(*B, 1)`` is how many a row executed, for the SMDP discount
-      (``GAE.set_keys(steps_to_next_obs=("next", "control_steps"))``) and for counting frames;
-    * ``trace_keys`` are recorded at every control step under ``("trace", key)``, ``(*B, N, ...)``; zero after the end.
+    * Rewards, ``cost`` and the entries under ``reward_terms`` are summed: ``sum_k discount^k r_k``.
+    * The other entries are those of the last control step that an environment executed.
+    * ``control_steps`` ``(*B, 1)`` counts the control steps that an environment executed: for the discount of a
+      semi-Markov process (``GAE.set_keys(steps_to_next_obs=("next", "control_steps"))``) and for counting frames.
+    * ``trace_keys`` are recorded at every control step under ``("trace", key)``, ``(*B, N, ...)``, zero after the end.
 
-    With ``interrupt_key``, a row where that observation is True ends its chunk early and waits, at rest in time, for
-    the others; its next policy step goes on from there. When every row ends before the chunk does, the environment is
-    stepped once more and its answer discarded; where all wait and no episode is over, those that were interrupted last
-    execute one control step more.
+    With ``interrupt_key``, an environment where that observation is True ends its chunk early. It then waits, without
+    stepping, for the others, and continues from there at its next policy step. If every environment ends before the
+    chunk does, the base environment is stepped once more and its answer discarded. If all wait and no episode is over,
+    those that were interrupted last execute one more control step.
 
     Args:
         num_steps: N; None leaves it to the transform that makes the chunk.
-        discount: of rewards within the chunk [-].
+        discount: discount of rewards from one control step to the next [-].
         trace_keys: entries under next to record.
-        interrupt_key: observation ``(*B, 1)`` bool that ends a row's chunk early, such as ``new_wall``; the
-            environment must honour a ``_step`` mask.
+        interrupt_key: observation ``(*B, 1)`` bool that ends a chunk early, such as ``new_wall``; the environment must
+            honour a ``_step`` mask.
         action_key: the action: a chunk outside, its steps towards the environment.
 
     Raises:
@@ -71,64 +73,63 @@ class MacroStepTransform(ActionTransform):
     # -- the chunk ----------------------------------------------------------------------------------------------------
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        parent = self.parent
-        if parent is None:
+        if self.parent is None:
             raise RuntimeError("MacroStepTransform steps an environment and has none; append it to a TransformedEnv.")
-        chunk = self._checked_chunk(tensordict)
-        steps = chunk.unbind(tensordict.ndim)
-        sum_keys, state_keys = self._sum_keys(), parent.state_keys
-        alive = self._stepping(tensordict)  # None: every row
-        frozen: TensorDictBase | None = None
-        spare: Tensor | None = None  # rows that step for nothing, so that those that wait need not
-        memory = _Memory(tensordict, sum_keys, self.trace_keys)
-        current = tensordict
-        last = steps[-1]
-        for number, action in enumerate(steps[:-1], start=1):
-            current.set(self.action_key, action)
-            if alive is not None:
-                current.set("_step", alive)
-            following = parent._step(current)
-            frozen = following if alive is None or frozen is None else _where(alive, following, frozen)
-            memory.add(following, alive, self.discount)
-            ended = self._ended(following).reshape(tensordict.batch_size)
-            if bool(ended.any()):
-                stepped, alive = alive, ~ended if alive is None else alive & ~ended
-                if not bool(alive.any()):
-                    done = frozen.get("done").reshape(tensordict.batch_size)
-                    if self.interrupt_key is None or bool(done.all()):
-                        break
-                    # Some row has to step: one whose episode is over, else those that were interrupted just now.
-                    alive = ended if stepped is None else ended & stepped
-                    spare = done if bool(done.any()) else None
-                    current, last = _carried(current, following.copy(), state_keys), steps[number]
-                    break
-            current = _carried(current, following if alive is None else following.copy(), state_keys)
+        steps = self._checked_chunk(tensordict).unbind(tensordict.ndim)
+        memory = ChunkMemory(tensordict, len(steps), self.discount, self._sum_keys(), self.trace_keys)
+        memory.alive = self._allowed(tensordict)
+        current, last, spare = self._all_but_last(tensordict, steps, memory)
         if current is not tensordict:
             tensordict.update(current)
         tensordict.set(self.action_key, last)
         if spare is not None:
             tensordict.set("_step", spare)
-            alive = torch.zeros_like(spare)
-        elif alive is not None and bool(alive.any()):
-            tensordict.set("_step", alive)
+            memory.alive = torch.zeros_like(spare)
+        elif memory.alive is not None and bool(memory.alive.any()):
+            tensordict.set("_step", memory.alive)
         else:
             tensordict.pop("_step", None)
-        if alive is not None:
-            memory.alive, memory.frozen = alive, frozen
-        memory.length = len(steps)
-        tensordict.set_non_tensor(_PRIVATE, memory)
-        return tensordict
+        return tensordict.set_non_tensor(_MEMORY, memory)
+
+    def _all_but_last(
+        self, tensordict: TensorDictBase, steps: Sequence[Tensor], memory: ChunkMemory
+    ) -> tuple[TensorDictBase, Tensor, Tensor | None]:
+        """Execute a chunk up to its last control step, which the outer environment executes itself.
+
+        Returns:
+            Root and action of that last control step, and a mask of environments that have to execute it for nothing,
+            so that those that wait need not.
+        """
+        parent, current = self.parent, tensordict
+        state_keys = parent.state_keys
+        for number, action in enumerate(steps[:-1], start=1):
+            current.set(self.action_key, action)
+            alive = memory.alive
+            if alive is not None:
+                current.set("_step", alive)
+            following = parent._step(current)
+            frozen = memory.freeze(following)
+            memory.add(following)
+            ended = self._ended(following).reshape(tensordict.batch_size)
+            if bool(ended.any()):
+                memory.alive = ~ended if alive is None else alive & ~ended
+                if not bool(memory.alive.any()):
+                    done = frozen.get("done").reshape(tensordict.batch_size)
+                    if self.interrupt_key is None or bool(done.all()):
+                        break
+                    # Some environment has to step: one whose episode is over, else those interrupted just now.
+                    memory.alive = ended if alive is None else ended & alive
+                    spare = done if bool(done.any()) else None
+                    return carried(current, following.copy(), state_keys), steps[number], spare
+            current = carried(current, following if memory.alive is None else following.copy(), state_keys)
+        return current, steps[-1], None
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        memory: _Memory = tensordict.get_non_tensor(_PRIVATE)
+        memory: ChunkMemory = tensordict.get_non_tensor(_MEMORY)
         if memory.alive is not None and memory.frozen is not None:
-            next_tensordict = _where(memory.alive, next_tensordict, memory.frozen)
-        memory.add(next_tensordict, memory.alive, self.discount)
-        for key, total in memory.total.items():
-            next_tensordict.set(key, total)
-        next_tensordict.set("control_steps", memory.count.unsqueeze(-1))
-        for key, values in memory.trace.items():
-            next_tensordict.set(("trace", key) if isinstance(key, str) else ("trace", *key), memory.stacked(values))
+            next_tensordict = where(memory.alive, next_tensordict, memory.frozen)
+        memory.add(next_tensordict)
+        memory.write(next_tensordict)
         return next_tensordict
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
@@ -137,15 +138,14 @@ class MacroStepTransform(ActionTransform):
         return tensordict_reset
 
     def _ended(self, following: TensorDictBase) -> Tensor:
-        """Rows whose chunk is over, ``(*B, 1)``."""
+        """Environments whose chunk is over, ``(*B, 1)``."""
         done = following.get("done")
         return done if self.interrupt_key is None else done | following.get(self.interrupt_key)
 
-    @staticmethod
-    def _stepping(tensordict: TensorDictBase) -> Tensor | None:
-        """Rows that the caller lets step; None means all of them."""
-        mask = tensordict.get("_step", None)
-        return None if mask is None or bool(mask.all()) else mask.reshape(tensordict.batch_size)
+    def _allowed(self, tensordict: TensorDictBase) -> Tensor | None:
+        """Environments that the caller lets step, ``(*B,)``; None stands for all of them."""
+        mask = self._stepping(tensordict)
+        return None if mask is None or bool(mask.all()) else mask
 
     def _checked_chunk(self, tensordict: TensorDictBase) -> Tensor:
         (chunk,) = self._require(tensordict, self.action_key)
@@ -163,14 +163,15 @@ class MacroStepTransform(ActionTransform):
     # -- specs --------------------------------------------------------------------------------------------------------
 
     def _sum_keys(self) -> list[NestedKey]:
+        """Entries that are summed; stored on the parent, which is made anew whenever the chain changes."""
         parent = self.parent
-        owner, keys = self.__dict__.get("_summed", (None, []))
-        if owner is not parent:  # a clone, or a chain that changed, has another parent
-            terms = parent.full_observation_spec.get("reward_terms", None)
+        keys = parent.__dict__.get(_SUMMED)
+        if keys is None:
+            observed = parent.full_observation_spec
+            terms = observed.get("reward_terms", None)
             names: list[NestedKey] = [] if terms is None else [("reward_terms", name) for name in terms.keys()]
-            names += ["cost"] if "cost" in parent.full_observation_spec.keys() else []
-            keys = [*parent.reward_keys, *names]
-            self.__dict__["_summed"] = parent, keys
+            names += ["cost"] if "cost" in observed.keys() else []
+            keys = parent.__dict__[_SUMMED] = [*parent.reward_keys, *names]
         return keys
 
     def _outputs(self) -> dict[NestedKey, TensorSpec]:
@@ -187,16 +188,13 @@ class MacroStepTransform(ActionTransform):
                 raise KeyError(f"trace key {key!r} is no observation; there are {list(available.keys(True, True))}.")
             spec = available[key]
             shape = (*batch, self.num_steps, *spec.shape[len(batch) :])
-            name = ("trace", key) if isinstance(key, str) else ("trace", *key)
-            outputs[name] = Unbounded(shape=shape, dtype=spec.dtype, device=device)
+            outputs[trace_key(key)] = Unbounded(shape=shape, dtype=spec.dtype, device=device)
         return outputs
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Declare ``control_steps`` and the traces."""
         for key, spec in self._outputs().items():
-            if isinstance(key, tuple) and key[0] not in observation_spec.keys():
-                observation_spec[key[0]] = Composite(shape=observation_spec.shape, device=observation_spec.device)
-            observation_spec[key] = spec
+            set_leaf(observation_spec, key, spec)
         return observation_spec
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
@@ -206,53 +204,3 @@ class MacroStepTransform(ActionTransform):
         length = -1 if self.num_steps is None else self.num_steps
         spec = like.unsqueeze(ndim).expand(*like.shape[:ndim], length, *like.shape[ndim:])
         return replace_leaf(action_spec, self.action_key, spec, type(self).__name__)
-
-
-class _Memory:
-    """What one chunk adds up: it lives for the duration of one step, in the tensordict."""
-
-    def __init__(self, tensordict: TensorDictBase, sum_keys: list[NestedKey], trace_keys: list[NestedKey]) -> None:
-        self.total: dict[NestedKey, Tensor | None] = dict.fromkeys(sum_keys)
-        self.trace: dict[NestedKey, list[Tensor]] = {key: [] for key in trace_keys}
-        self.count = torch.zeros(tensordict.batch_size, dtype=torch.int64, device=tensordict.device)
-        self.alive: Tensor | None = None
-        self.frozen: TensorDictBase | None = None
-        self.factor = 1.0
-        self.length = 0
-
-    def add(self, following: TensorDictBase, alive: Tensor | None, discount: float) -> None:
-        """Add one control step in the rows that are alive."""
-        for key, total in self.total.items():
-            value = _masked(following.get(key), alive)
-            value = value if self.factor == 1.0 else value * self.factor
-            self.total[key] = value if total is None else total + value
-        for key, values in self.trace.items():
-            values.append(_masked(following.get(key), alive))
-        self.count = self.count + (1 if alive is None else alive.to(torch.int64))
-        self.factor *= discount
-
-    def stacked(self, values: list[Tensor]) -> Tensor:
-        """Recorded values along a step dimension, padded to the chunk's length."""
-        values = values + [torch.zeros_like(values[0])] * (self.length - len(values))
-        return torch.stack(values, self.count.ndim)
-
-
-def _carried(current: TensorDictBase, following: TensorDictBase, state_keys: Sequence[NestedKey]) -> TensorDictBase:
-    """Root of the next control step: what the last one returned, and the state that it did not return."""
-    for key in state_keys:
-        if following.get(key, None) is None:
-            value = current.get(key, None)
-            if value is not None:
-                following.set(key, value)
-    return following
-
-
-def _masked(value: Tensor, alive: Tensor | None) -> Tensor:
-    return value if alive is None else value * expand_as_right(alive, value).to(value.dtype)
-
-
-def _where(alive: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:
-    """Rows of ``new`` where alive, of ``old`` elsewhere, for every entry that both have."""
-    return new._fast_apply(
-        lambda a, b: torch.where(expand_as_right(alive, a), a, b), old.select(*new.keys(True, True), strict=False)
-    )
