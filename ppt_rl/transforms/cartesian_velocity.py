@@ -8,13 +8,13 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
+from torchrl.data import Bounded, Composite, TensorSpec
 
 from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.heading import from_heading
 from ppt_rl.modules.task_space import TaskSpace
 from ppt_rl.transforms.base import ActionTransform
-from ppt_rl.transforms.specs import replace_leaf
+from ppt_rl.transforms.specs import real, replace_leaf
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["CartesianVelocityTransform"]
@@ -27,22 +27,22 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
         y' = y_m + \mathrm{clip}\big(y + v_{max}\,\mathrm{clip}(a, -1, 1)\,\Delta t - y_m,\ -l,\ l\big),
         \qquad v = (y' - y) / \Delta t
 
-    per coordinate (yaw differs by the short way round), with ``y_m`` the measured coordinates of the end effector
-    and ``l`` the lead: the reference cannot run away from a blocked tool, and the spring's force stays below stiffness
-    times lead. The reference's twist is that of the bounded motion, itself within ``v_max``. State and observation:
-    ``reference_position`` ``(*B, D)``.
+    for each coordinate (yaw takes the shorter difference), with ``y_m`` the measured coordinates of the end effector
+    and ``l`` the lead. The lead keeps the reference from running away from a blocked tool, and the spring's force below
+    stiffness times lead. The twist of the reference is that of the bounded motion, itself within ``v_max``. State and
+    observation: ``reference_position`` ``(*B, D)``.
 
-    Append it after an :class:`ImpedanceTransform`, in the place where an episode-level policy has its macro step.
+    Append it after an :class:`ImpedanceTransform`, where an episode-level policy has its macro step.
 
     Args:
-        task_space: what the D coordinates mean.
-        max_velocity: one number, or D of them: the velocity of an action of 1 [m/s, rad/s].
+        task_space: meaning of the D coordinates.
+        max_velocity: one number, or D of them: the velocity that an action of 1 stands for [m/s, rad/s].
         max_lead: one number, or D of them: largest distance of the reference from the end effector [m, rad].
         dt: control step [s]; None takes it from the environment, and needs one.
         action_key: the action: velocity outside, reference towards the environment.
         pose_key: end-effector pose observation.
-        heading_key: heading observation: then the action is a velocity ahead, to the left and up, for a task space of
-            x, y, z. None takes the task space's own axes.
+        heading_key: heading observation; the action is then a velocity ahead, to the left and up, in a task space of
+            x, y, z. None takes the axes of the task space.
 
     Raises:
         ValueError: if a size does not fit, a number is not positive, or an action is not finite.
@@ -72,10 +72,10 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
             raise ValueError(f"task_space has the coordinates {task_space.axes}; expected ('x', 'y', 'z').")
         self.heading_key = heading_key
         self.task_space = task_space
-        self.dt = dt
         self.pose_key = pose_key
         self.register_buffer("max_velocity", _bound("max_velocity", max_velocity, task_space.num_dof))
         self.register_buffer("max_lead", _bound("max_lead", max_lead, task_space.num_dof))
+        self.dt = dt
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         action, pose = self._require(tensordict, self.action_key, self.pose_key)
@@ -89,10 +89,11 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
         asked = speed * action.clamp(-1.0, 1.0)
         if self.heading_key is not None:
             asked = from_heading(asked, *self._require(tensordict, self.heading_key))
-        wanted = position + self.dt * asked
+        dt = self.dt
+        wanted = position + dt * asked
         following = measured + self.task_space.difference(wanted, measured).clamp(-lead, lead)
-        # Pulled along by a moving tool, the reference may have to go faster than it is let to say.
-        velocity = (self.task_space.difference(following, position) / self.dt).clamp(-speed, speed)
+        # A moving tool may pull the reference along faster than v_max; its twist stays within v_max all the same.
+        velocity = (self.task_space.difference(following, position) / dt).clamp(-speed, speed)
         reference = torch.cat([self.task_space.pose(following), self.task_space.twist(velocity)], -1)
         tensordict.set(self.action_key, reference)
         self._stash(tensordict, "reference_position", following)
@@ -108,11 +109,10 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
         return tensordict_reset
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        shape = (*like.shape[:-1], self.task_space.num_dof)
-        return {"reference_position": Unbounded(shape=shape, dtype=like.dtype, device=like.device)}
+        return {"reference_position": real(like, *like.shape[:-1], self.task_space.num_dof)}
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """The action outside is a velocity of D numbers in [-1, 1]."""
+        """Outside, the action is a velocity of D numbers in [-1, 1]."""
         like = action_spec[self.action_key]
         shape = (*like.shape[:-1], self.task_space.num_dof)
         spec = Bounded(-1.0, 1.0, shape=shape, dtype=like.dtype, device=like.device)

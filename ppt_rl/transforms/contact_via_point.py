@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Binary, TensorSpec, Unbounded
+from torchrl.data import Binary, TensorSpec
 
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.contact import WallTouch, is_touching, wall_contact
@@ -16,6 +16,7 @@ from ppt_rl.functional.contact_via_point import (
     update_via_points,
 )
 from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["ContactViaPointTransform"]
@@ -94,7 +95,7 @@ class ContactViaPointTransform(TimedTransform, ObserverTransform):
         def spec(value: Tensor) -> TensorSpec:
             if value.dtype is torch.bool:
                 return Binary(n=value.shape[-1], shape=value.shape, dtype=torch.bool, device=like.device)
-            return Unbounded(shape=value.shape, dtype=like.dtype, device=like.device)
+            return real(like, *value.shape)
 
         pose = torch.empty(*batch, 7, dtype=like.dtype, device=like.device)
         return {key: spec(value) for key, value in begin_via_points(pose, self.config)._asdict().items()}

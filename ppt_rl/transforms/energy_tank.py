@@ -15,7 +15,7 @@ from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["EnergyTankTransform"]
 
-#: Velocities that an effort may work on, in the order in which they are tried.
+#: Velocities that an effort may work on, in the order in which they are looked for.
 _FLOWS = ("twist", "joint_velocity")
 
 
@@ -27,18 +27,19 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         \quad p = |\mathrm{effort} \cdot \mathrm{flow}| \\
         E' &= \mathrm{clip}(E - \gamma\, p\, \Delta t,\ 0,\ E_{max})
 
-    It must act at control rate: append it before a :class:`MacroStepTransform`, never after. It writes two observations
-    that are also its state: ``tank_energy`` [J], the level, and ``valve``, the last factor, each ``(*B, 1)``. The power
-    is nominal: the flow is the one observed when the action is chosen, held for one control step.
+    This is the law of ``mode="paper"``; others are registered in :data:`~ppt_rl.functional.energy_tank.TANK_LAWS`. The
+    tank must act at control rate: append it before a :class:`MacroStepTransform`, never after. Its state is two
+    observations, each ``(*B, 1)``: the level ``tank_energy`` [J] and the last factor ``valve`` [-]. The power is
+    nominal: the velocity observed when the action is chosen counts as constant over the control step.
 
     Args:
         p_max: power limit [W].
-        e_max: tank capacity, and level at the start of an episode [J].
+        e_max: capacity of the tank, and its level at the start of an episode [J].
         dt: control step [s]; None takes it from the environment, and needs one.
-        mode: the law; ``"paper"`` charges braking like pushing and never refills.
+        mode: name of the law; ``"paper"`` charges braking like pushing and never refills.
         effort_key: the action: a wrench [N, N m] or joint torque [N m].
-        flow_key: the velocity it works on, an observation; None takes ``twist`` or ``joint_velocity``, whichever has
-            the action's size.
+        flow_key: the observed velocity that it works on; None takes ``twist`` or ``joint_velocity``, whichever has the
+            action's size.
         eps: smallest power that is divided by [W].
         out_keys: where the level and the valve are written.
 
@@ -110,8 +111,8 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
                 return self._fitting(key, flow, effort)
         present = sorted(str(k) for k in tensordict.keys(True, True))
         raise KeyError(
-            f"EnergyTankTransform found no flow for the effort {self.action_key!r} of size {size}: neither of {_FLOWS} "
-            f"is there with that size. Pass flow_key=, the velocity that the effort works on; there are {present}."
+            f"EnergyTankTransform found no velocity for the effort {self.action_key!r} of size {size}: none of "
+            f"{_FLOWS} has that size. Pass flow_key=, the velocity that the effort works on; there are {present}."
         )
 
     def _fitting(self, key: NestedKey, flow: Tensor, effort: Tensor) -> Tensor:
@@ -120,8 +121,8 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
                 " A chunk of efforts? Append the tank before the MacroStepTransform." if effort.ndim > flow.ndim else ""
             )
             raise ValueError(
-                f"flow {key!r} has shape {tuple(flow.shape)} and effort {self.action_key!r} {tuple(effort.shape)}; "
-                f"expected the same shape, so that effort . flow is a power.{chunk}"
+                f"the velocity {key!r} has shape {tuple(flow.shape)} and the effort {self.action_key!r} "
+                f"{tuple(effort.shape)}; expected the same shape, so that their product is a power.{chunk}"
             )
         return flow
 

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import TensorSpec, Unbounded
+from torchrl.data import TensorSpec
 
 from ppt_rl.functional.metrics import (
     MEMORY_SIZE,
@@ -18,6 +18,7 @@ from ppt_rl.functional.metrics import (
     update_metrics,
 )
 from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["EpisodeMetricsTransform"]
@@ -26,11 +27,12 @@ _MEMORY = "metrics_memory"
 
 
 class EpisodeMetricsTransform(TimedTransform, ObserverTransform):
-    """Measures an episode at control rate and writes ``("metrics", name)``, ``(*B, 1)`` each, where it ends.
+    """Measures an episode at control rate and writes ``("metrics", name)``, each ``(*B, 1)``, where it ends.
 
-    Names: ``max_power`` [W] and ``work`` [J] of the commanded power (the measured one where no ``power`` is observed),
-    ``max_power_measured`` [W], ``jerk_rms`` [m/s^3], ``wrench_p95`` [N], ``overload_ratio`` and ``contact_continuity``
-    [0-1]; docs/metrics.md defines them. They are zero until ``done``. Append it before a :class:`MacroStepTransform`.
+    ``max_power`` [W] and ``work`` [J] are those of the commanded power, or of the measured one where no ``power`` is
+    observed. The others are ``max_power_measured`` [W], ``jerk_rms`` [m/s^3], ``wrench_p95`` [N], ``overload_ratio``
+    and ``contact_continuity`` [0-1]; docs/metrics.md defines them. All are zero until ``done``. Append this transform
+    before a :class:`MacroStepTransform`.
 
     Args:
         config: thresholds and filter; None takes the defaults.
@@ -90,7 +92,7 @@ class EpisodeMetricsTransform(TimedTransform, ObserverTransform):
         return {"metrics": metrics}
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        return {_MEMORY: Unbounded(shape=(*batch, MEMORY_SIZE), dtype=like.dtype, device=like.device)}
+        return {_MEMORY: real(like, *batch, MEMORY_SIZE)}
 
     def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        return {key: Unbounded(shape=(*batch, 1), dtype=like.dtype, device=like.device) for key in self.out_keys}
+        return {key: real(like, *batch, 1) for key in self.out_keys}

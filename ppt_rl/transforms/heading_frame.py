@@ -1,4 +1,4 @@
-"""What the tool feels, seen along its heading: so that a turn looks like a straight corridor entered at an angle."""
+"""Twist and wrench in heading axes, in which a turn looks like a straight corridor that is entered at an angle."""
 
 from __future__ import annotations
 
@@ -6,38 +6,40 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import TensorSpec, Unbounded
+from torchrl.data import TensorSpec
 
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.contact import WallTouch, wall_contact
 from ppt_rl.functional.heading import follow_heading, to_heading
 from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["HeadingFrameTransform"]
 
 
 class HeadingFrameTransform(TimedTransform, ObserverTransform):
-    r"""Keeps the heading of a sliding tool and writes its twist and wrench in heading axes.
+    r"""Tracks the heading of a sliding tool and writes its twist and wrench in heading axes.
 
     .. math:: \nu_h = R_z(-\psi)\,\nu, \qquad \lambda_h = R_z(-\psi)\,\bar\lambda
 
-    The heading follows the way made lately, and the wall where the tool is held up
-    (:func:`~ppt_rl.functional.heading.follow_heading`); it begins at the observation ``start_heading``. ``\bar\lambda``
-    is the wrench through a first-order low-pass. Append it at control rate, before a :class:`MacroStepTransform`.
+    The heading follows the recent motion and, where the tool is held up, the wall
+    (:func:`~ppt_rl.functional.heading.follow_heading`). An episode starts with the observed ``start_heading``.
+    ``\bar\lambda`` is the wrench after a first-order low-pass. Append this transform at control rate, before a
+    :class:`MacroStepTransform`.
 
-    State and observations: ``heading`` ``(*B, 1)`` [rad], ``smooth_wrench`` ``(*B, 6)`` world axes [N, N m].
+    State and observations: ``heading`` ``(*B, 1)`` [rad], ``smooth_wrench`` ``(*B, 6)``, world axes [N, N m].
     Observations: ``heading_twist`` [m/s, rad/s] and ``heading_wrench`` [N, N m], ``(*B, 6)``, axes ahead, left, up.
 
     Args:
         distance: distance of travel over which the heading adapts [m].
         patience: time in which a tool that is held up turns along the wall [s].
         smoothing: time constant of the low-pass on the wrench [s].
-        touch: how a wall is felt: one that is pressed by more than ``touch.on``; None takes the defaults.
+        touch: how a wall is told from the force; more than ``touch.on`` is a wall. None takes the defaults.
         dt: control step [s]; None takes it from the environment, and needs one.
         twist_key: measured twist.
         wrench_key: measured wrench on the world.
-        start_key: heading at the start of an episode, given to the robot.
+        start_key: heading that the robot is given at the start of an episode.
 
     Raises:
         KeyError: if an observation is missing.
@@ -93,10 +95,7 @@ class HeadingFrameTransform(TimedTransform, ObserverTransform):
         }
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        sizes = {"heading": 1, "smooth_wrench": 6}
-        return {
-            key: Unbounded(shape=(*batch, size), dtype=like.dtype, device=like.device) for key, size in sizes.items()
-        }
+        return {"heading": real(like, *batch, 1), "smooth_wrench": real(like, *batch, 6)}
 
     def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        return {key: Unbounded(shape=(*batch, 6), dtype=like.dtype, device=like.device) for key in self.out_keys}
+        return {key: real(like, *batch, 6) for key in self.out_keys}

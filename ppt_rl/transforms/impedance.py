@@ -1,15 +1,15 @@
-"""Cartesian impedance as a transform: a reference becomes a wrench."""
+"""Cartesian impedance control: a reference becomes a wrench."""
 
 from __future__ import annotations
 
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Composite
 
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.transforms.base import ActionTransform
-from ppt_rl.transforms.specs import replace_leaf
+from ppt_rl.transforms.specs import real, replace_leaf
 
 __all__ = ["ImpedanceTransform"]
 
@@ -50,7 +50,7 @@ class ImpedanceTransform(ActionTransform):
         return tensordict.set(self.action_key, wrench)
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """The action outside is a reference: 7 numbers of pose and 6 of twist."""
+        """Outside, the action is a reference: 7 numbers of pose and 6 of twist."""
         like = action_spec[self.action_key]
-        spec = Unbounded(shape=(*like.shape[:-1], 13), dtype=like.dtype, device=like.device)
+        spec = real(like, *like.shape[:-1], 13)
         return replace_leaf(action_spec, self.action_key, spec, type(self).__name__)

@@ -8,13 +8,13 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.data import Composite, TensorSpec
 
 from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
 from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.base import ActionTransform
-from ppt_rl.transforms.specs import replace_leaf
+from ppt_rl.transforms.specs import real, replace_leaf
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["JointTorqueTransform"]
@@ -25,18 +25,18 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
 
     .. math:: \tau = J^\top \lambda + N\,\big(k_q (q_0 - q) - d_q \dot q\big)
 
-    with ``N`` the nullspace projection: the posture term moves the arm, not the end effector (at rest a few percent of
-    it leak through, since the projection is damped and its inertia diagonal). An arm of six joints has no nullspace, so
-    there the posture term is left out, whatever the arguments say. It also writes the commanded ``power``
-    ``wrench . twist`` ``(*B, 1)`` [W] as an observation, positive when energy leaves the robot.
+    ``N`` projects into the nullspace, so the posture term moves the arm but not the end effector. (At rest a few
+    percent of it leak through, because the projection is damped and its inertia diagonal.) An arm of six joints has no
+    nullspace; its posture term is left out, whatever the arguments say. The transform also writes the commanded power
+    ``wrench . twist`` ``(*B, 1)`` [W] as the observation ``power``, positive when energy leaves the robot.
 
     Args:
-        kinematics: of the arm, with its tool; the limits are its arm's.
+        kinematics: kinematics of the arm with its tool; the torque limits are those of its arm.
         posture: ``q_0``, n numbers [rad]; None takes the arm's home.
-        posture_stiffness: ``k_q`` [N m/rad]; zero leaves the posture alone, and with it the projection.
-        posture_damping: ``d_q`` [N m s/rad].
-        max_torque_rate: largest change of a joint torque [N m/s]; None sets no limit. Franka's own is 1000.
-        dt: control step, for the rate [s]; None takes it from the environment.
+        posture_stiffness: ``k_q`` [N m/rad].
+        posture_damping: ``d_q`` [N m s/rad]; with both zero there is no posture term.
+        max_torque_rate: largest rate of change of a joint torque [N m/s]; None sets no limit. Franka's own is 1000.
+        dt: control step [s], needed with a rate limit; None takes it from the environment.
         action_key: the action: wrench from outside, torque towards the environment.
 
     Raises:
@@ -118,13 +118,10 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
         sizes = {"power": 1, "torque": self.kinematics.arm.num_joints}
-        return {
-            key: Unbounded(shape=(*like.shape[:-1], sizes[key]), dtype=like.dtype, device=like.device)
-            for key in self._state_keys()
-        }
+        return {key: real(like, *like.shape[:-1], sizes[key]) for key in self._state_keys()}
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """The action outside is a wrench of 6 numbers."""
+        """Outside, the action is a wrench of 6 numbers."""
         like = action_spec[self.action_key]
-        spec = Unbounded(shape=(*like.shape[:-1], 6), dtype=like.dtype, device=like.device)
+        spec = real(like, *like.shape[:-1], 6)
         return replace_leaf(action_spec, self.action_key, spec, type(self).__name__)

@@ -198,7 +198,7 @@ class MacroStepTransform(ActionTransform):
         return observation_spec
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """The action outside is a chunk, with a dimension of steps after the batch."""
+        """Outside, the action is a chunk, with a dimension of control steps after the batch."""
         like = action_spec[self.action_key]
         ndim = len(self.parent.batch_size)
         length = -1 if self.num_steps is None else self.num_steps

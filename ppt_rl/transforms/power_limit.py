@@ -1,4 +1,4 @@
-"""The safety constraint on measured power: a penalty, a cost, and the end of an episode."""
+"""The safety constraint on measured power, as a cost, a penalty or the end of an episode."""
 
 from __future__ import annotations
 
@@ -6,37 +6,38 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import TensorSpec, Unbounded
+from torchrl.data import TensorSpec
 
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.impedance import power
 from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["PowerLimitTransform"]
 
 
 class PowerLimitTransform(TimedTransform, ObserverTransform):
-    r"""Watches the power of the MEASURED wrench, ``P = wrench . twist``, and what it exceeds its limit by.
+    r"""Measures by how much the power of the measured wrench, ``P = wrench . twist``, exceeds a limit.
 
     .. math:: c = \Delta t\,\max(0, |P| - P_{max}), \qquad r' = r - \mathrm{penalty} \cdot c
 
-    It writes the cost ``c`` ``(*B, 1)`` [J] under ``("next", "cost")``, where constrained-RL losses look for it. With
-    ``terminate`` an episode ends (``terminated``) at the first step above the limit. Unlike the
-    :class:`EnergyTankTransform` it does not act on the action: it makes the constraint a part of the task.
+    It writes the cost ``c`` ``(*B, 1)`` [J] under ``("next", "cost")``, where losses of constrained RL look for it.
+    With ``terminate`` an episode ends (``terminated``) at the first step above the limit. Unlike the
+    :class:`EnergyTankTransform` it leaves the action alone: it makes the constraint part of the task.
 
-    Append it before a :class:`MacroStepTransform`, which sums ``cost`` (under that key) over its control steps like
-    rewards. Where it terminates, append it before an :class:`EpisodeMetricsTransform` too, which has to see where
-    episodes end. The penalty changes the reward only, not what stands under ``reward_terms``.
+    Append it before a :class:`MacroStepTransform`, which sums ``cost`` (under that key) over the control steps as it
+    sums rewards. If it terminates episodes, append it before an :class:`EpisodeMetricsTransform` too, which has to see
+    where episodes end. The penalty changes the reward only, not the entries under ``reward_terms``.
 
     Args:
         p_max: limit of the measured power [W].
-        penalty: reward taken off per joule above the limit [1/J]; zero leaves the reward alone.
+        penalty: reward subtracted per joule above the limit [1/J]; zero leaves the reward alone.
         terminate: whether a step above the limit ends the episode.
         dt: control step [s]; None takes it from the environment, and needs one.
         wrench_key: measured wrench on the world.
         twist_key: measured twist.
-        reward_key: the reward that the penalty is taken off.
+        reward_key: the reward that the penalty is subtracted from.
         cost_key: where the cost is written.
 
     Raises:
@@ -65,20 +66,19 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
     ) -> None:
         super().__init__(in_keys=[wrench_key, twist_key], out_keys=[cost_key])
         self.p_max = require_positive("p_max", p_max, "W")
-        self.dt = dt
         self.penalty = float(penalty)
         if not 0.0 <= self.penalty < float("inf"):
             raise ValueError(f"penalty is {penalty}; expected a finite number of at least 0 [1/J].")
         self.terminate = terminate
         self.reward_key = reward_key
+        self.dt = dt
 
     def _outputs(self, tensordict: TensorDictBase, state: Entries, *readings: Tensor) -> Entries:
         excess = (power(*readings).abs() - self.p_max).clamp_min(0.0)  # [W]
         return {self.out_keys[0]: self.dt * excess}
 
     def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        shape = (*like.shape[:-1], 1)
-        return {self.out_keys[0]: Unbounded(shape=shape, dtype=like.dtype, device=like.device)}
+        return {self.out_keys[0]: real(like, *like.shape[:-1], 1)}
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         next_tensordict = super()._step(tensordict, next_tensordict)

@@ -1,4 +1,4 @@
-"""ProMP decoding: a residual in weight space becomes a chunk of references."""
+"""Decoding a ProMP: a residual in weight space becomes a chunk of references."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.data import Composite, TensorSpec
 
 from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.promp import Gaussian, unvec, vec
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
 from ppt_rl.transforms.base import ActionTransform
-from ppt_rl.transforms.specs import replace_leaf
+from ppt_rl.transforms.specs import real, replace_leaf
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["ProMPTransform"]
 
-#: What is kept of where a chunk was left.
+#: The state of the reference at the end of a chunk.
 _LEFT = ("phase", "reference_position", "reference_velocity")
 
 
@@ -29,16 +29,16 @@ class ProMPTransform(TimedTransform, ActionTransform):
 
     .. math:: w = w_{ref} + \mathrm{scale} \cdot \Delta w, \qquad y(\phi) = \Phi(\phi)^\top W
 
-    ``w_ref`` is the observation ``weights_mean`` (:class:`ViaPointTransform` writes it), else the ProMP's prior mean.
-    The new weights are then conditioned on the reference position and velocity where the last chunk ended, at the start
-    of an episode on the measured pose at rest, so the reference and its velocity are continuous.
+    ``w_ref`` is the observation ``weights_mean``, which :class:`ViaPointTransform` writes, or else the mean of the
+    ProMP's prior. The new weights are then conditioned on the position and velocity of the reference where the last
+    chunk ended (at the start of an episode: on the measured pose at rest), so reference and velocity are continuous.
 
     State and observations: ``phase`` ``(*B, 1)`` [-], ``reference_position`` and ``reference_velocity`` ``(*B, D)``,
-    ``weights`` ``(*B, K, D)``, the weights that were decoded last.
+    and the weights that were decoded last, ``weights`` ``(*B, K, D)``.
 
     Args:
         promp: the movement primitive.
-        task_space: what its D coordinates mean.
+        task_space: meaning of its D coordinates.
         residual_scale: one number, or D of them: how far a residual of 1 moves a weight [unit of each coordinate].
         replan_steps: control steps from one policy step to the next. None is the paper's "episode-level": one policy
             step for the whole duration; 1 is its "each timestep".
@@ -68,7 +68,10 @@ class ProMPTransform(TimedTransform, ActionTransform):
     ) -> None:
         super().__init__(action_key)
         if promp.num_dof != task_space.num_dof:
-            raise ValueError(f"the ProMP has {promp.num_dof} degrees of freedom and the task space {task_space.axes}.")
+            raise ValueError(
+                f"the ProMP has {promp.num_dof} degrees of freedom and the task space has the coordinates "
+                f"{task_space.axes}; expected equal numbers."
+            )
         scale = torch.as_tensor(residual_scale, dtype=torch.get_default_dtype()).reshape(-1)
         if scale.numel() not in (1, promp.num_dof) or not bool((scale > 0).all()):
             raise ValueError(f"residual_scale is {residual_scale}; expected 1 or {promp.num_dof} positive numbers.")
@@ -110,18 +113,18 @@ class ProMPTransform(TimedTransform, ActionTransform):
         offsets = torch.arange(self.num_steps + 1, dtype=action.dtype, device=action.device) / total
         phases = (phase + offsets).clamp_max(1.0)  # (*B, N + 1)
         positions, velocities, _ = self.promp.decode(weights, phases)
-        # Past the end the reference rests where it is.
+        # Past the end the reference stands still.
         velocities = velocities * (phase + offsets <= 1.0 + 0.5 / total).unsqueeze(-1)
         positions, velocities = self._placed(tensordict, positions, velocities)
         reference = torch.cat([self.task_space.pose(positions), self.task_space.twist(velocities)], -1)
         tensordict.set(self.action_key, reference[..., :-1, :])
         self._stash(tensordict, "weights", weights)
-        # Where the reference is left is known when the chunk is over: it may be interrupted.
-        self._stash(tensordict, "way", torch.cat([phases.unsqueeze(-1), positions, velocities], -1))
+        # A chunk may be interrupted, so only at its end is it known where the reference has got to.
+        self._stash(tensordict, "path", torch.cat([phases.unsqueeze(-1), positions, velocities], -1))
         return tensordict
 
     def _current(self, tensordict: TensorDictBase, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Phase and reference state; without any, the measured pose at rest at phase zero."""
+        """Phase, position and velocity of the reference; without a state, the measured pose at rest at phase zero."""
         phase = tensordict.get("phase", None)
         if phase is None:
             (pose,) = self._require(tensordict, self.pose_key)
@@ -141,10 +144,10 @@ class ProMPTransform(TimedTransform, ActionTransform):
         return reference + self.residual_scale.to(action.dtype) * unvec(action, self.promp.num_basis)
 
     def _joined(self, weights: Tensor, phase: Tensor, position: Tensor, velocity: Tensor) -> Tensor:
-        """Nearest weights that pass through position and velocity at ``phase``.
+        """The nearest weights that pass through position and velocity at ``phase``.
 
-        Nearest in the plain metric of the weights: the basis is local, so the change stays near ``phase``. The prior's
-        metric would explain a millimetre at the start by another trajectory altogether.
+        Distance is Euclidean in the weights: the basis is local, so the change stays near ``phase``. In the metric of
+        the prior, a millimetre at the start would turn into another trajectory altogether.
         """
         dof = self.promp.num_dof
         exact = position.new_zeros(*position.shape[:-1], 1, dof, dof)
@@ -164,11 +167,11 @@ class ProMPTransform(TimedTransform, ActionTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._unstash(tensordict, next_tensordict, "weights")
-        way = tensordict.get("_way")  # (*B, N + 1, 1 + 2 D)
-        left = way[..., -1, :]
+        path = tensordict.get("_path")  # (*B, N + 1, 1 + 2 D)
+        left = path[..., -1, :]
         executed = next_tensordict.get("control_steps", None)
         if executed is not None:
-            left = way.take_along_dim(executed.unsqueeze(-1).expand(*executed.shape, way.shape[-1]), -2).squeeze(-2)
+            left = path.take_along_dim(executed.unsqueeze(-1).expand(*executed.shape, path.shape[-1]), -2).squeeze(-2)
         dof = self.promp.num_dof
         for key, value in zip(_LEFT, left.split([1, dof, dof], -1), strict=True):
             tensordict.set(f"_{key}", value)
@@ -186,20 +189,16 @@ class ProMPTransform(TimedTransform, ActionTransform):
         return tensordict_reset
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        def real(*shape: int) -> Unbounded:
-            return Unbounded(shape=(*batch, *shape), dtype=like.dtype, device=like.device)
-
         dof = self.promp.num_dof
         return {
-            "phase": real(1),
-            "reference_position": real(dof),
-            "reference_velocity": real(dof),
-            "weights": real(self.promp.num_basis, dof),
+            "phase": real(like, *batch, 1),
+            "reference_position": real(like, *batch, dof),
+            "reference_velocity": real(like, *batch, dof),
+            "weights": real(like, *batch, self.promp.num_basis, dof),
         }
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """The action outside is a residual of K * D numbers."""
+        """Outside, the action is a residual of K * D numbers."""
         like = action_spec[self.action_key]
-        size = self.promp.num_basis * self.promp.num_dof
-        spec = Unbounded(shape=(*self.parent.batch_size, size), dtype=like.dtype, device=like.device)
+        spec = real(like, *self.parent.batch_size, self.promp.num_basis * self.promp.num_dof)
         return replace_leaf(action_spec, self.action_key, spec, type(self).__name__)

@@ -1,13 +1,26 @@
-"""Entries of composite specs that may be nested."""
+"""Specs of entries, and where they go in composite specs that may be nested."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from tensordict.utils import NestedKey, unravel_key
-from torchrl.data import Composite, TensorSpec
+from torchrl.data import Composite, TensorSpec, Unbounded
 
-__all__ = ["replace_leaf", "set_leaf"]
+__all__ = ["real", "replace_leaf", "set_leaf"]
+
+
+def real(like: TensorSpec, *shape: int) -> Unbounded:
+    """Spec of real numbers.
+
+    Args:
+        like: a spec with the dtype and device.
+        *shape: of the entry, batch included.
+
+    Returns:
+        The spec, without bounds.
+    """
+    return Unbounded(shape=shape, dtype=like.dtype, device=like.device)
 
 
 def replace_leaf(spec: Composite, key: NestedKey, leaf: TensorSpec, owner: str) -> Composite:

@@ -6,12 +6,13 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import TensorSpec, Unbounded
+from torchrl.data import TensorSpec
 
 from ppt_rl.functional.heading import to_heading
 from ppt_rl.functional.promp import unvec
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.specs import real
 
 __all__ = ["ViaPointTransform"]
 
@@ -20,22 +21,23 @@ _VELOCITY = ("via_velocity", "via_velocity_cov", "via_velocity_mask")
 
 
 class ViaPointTransform(ObserverTransform):
-    r"""Conditions a ProMP's prior on via-points and writes the posterior, the reference of the residual.
+    r"""Conditions a ProMP's prior on via-points and writes the posterior, to which the policy's residual is added.
 
     .. math::
         \Sigma_{w|D} = (\Sigma_w^{-1} + H^\top \Sigma_D^{-1} H)^{-1}, \quad
         \mu_{w|D} = \Sigma_{w|D} (\Sigma_w^{-1} \mu_w + H^\top \Sigma_D^{-1} y_D)
 
-    Reads ``via_phase`` ``(*B, M)``, ``via_position`` ``(*B, M, D)``, ``via_cov`` ``(*B, M, D, D)`` and, where there,
-    ``via_mask`` ``(*B, M)``, and the same with ``via_velocity``. Writes ``weights_mean`` ``(*B, K, D)`` and, on
-    request, ``weights_cov`` ``(*B, K * D, K * D)``. It has no state and works as well on stored data.
+    It reads ``via_phase`` ``(*B, M)``, ``via_position`` ``(*B, M, D)``, ``via_cov`` ``(*B, M, D, D)`` and, if present,
+    ``via_mask`` ``(*B, M)`` and ``via_velocity``, ``via_velocity_cov`` and ``via_velocity_mask`` of the same shapes. It
+    writes ``weights_mean`` ``(*B, K, D)`` and, on request, ``weights_cov`` ``(*B, K * D, K * D)``. It has no state and
+    works on stored data too.
 
     Args:
         promp: the movement primitive and its prior.
-        write_cov: whether the covariance is written too.
-        prefix: keys of the via-points' nest; empty for the root.
-        frame: observations of pose and heading: then via-points in world coordinates are turned to heading axes from
-            the end effector, where a :class:`RecedingProMPTransform` has its weights. None takes them as they are.
+        write_cov: whether to write the covariance too.
+        prefix: nest of the via-points; empty for the root.
+        frame: keys of pose and heading. With them, via-points in world coordinates are expressed in heading axes from
+            the end effector, as a :class:`RecedingProMPTransform` needs them. None takes them as they are.
 
     Raises:
         KeyError: if a via-point entry is missing.
@@ -82,10 +84,7 @@ class ViaPointTransform(ObserverTransform):
     def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
         basis, size = self.promp.num_basis, self.promp.num_basis * self.promp.num_dof
         shapes = {self._mean_key: (basis, self.promp.num_dof), self._cov_key: (size, size)}
-        return {
-            key: Unbounded(shape=(*like.shape[:-1], *shapes[key]), dtype=like.dtype, device=like.device)
-            for key in self.out_keys
-        }
+        return {key: real(like, *like.shape[:-1], *shapes[key]) for key in self.out_keys}
 
 
 def _in_frame(vector: Tensor, cov: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
