@@ -1,4 +1,4 @@
-"""What the force at the wrist tells of the wall that a tool touches."""
+"""What the force at the wrist reveals about the wall that a tool touches."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class WallTouch:
 
 
 class WallContact(NamedTuple):
-    """A wall as the tool feels it, world axes on the map.
+    """A wall as the tool feels it, in the horizontal plane, world axes.
 
     Attributes:
-        force: ``(*B, 2)`` of the robot on the wall, the floor's friction taken off [N].
+        force: ``(*B, 2)`` force of the robot on the wall, without the floor's friction [N].
         normal: ``(*B, 2)`` unit vector into the wall [-].
-        tangent: ``(*B, 2)`` unit vector along the wall, the way that the tool goes [-].
+        tangent: ``(*B, 2)`` unit vector along the wall, in the direction of the tool's motion [-].
     """
 
     force: Tensor
@@ -56,39 +56,43 @@ def is_touching(touching: Tensor, force: Tensor, *, on: float, off: float) -> Te
     """Contact with hysteresis: it begins above one force and ends below a smaller one.
 
     Args:
-        touching: ``(*B, 1)`` whether there was contact.
-        force: ``(*B, 1)`` size of the force [N].
-        on: contact begins above it [N].
-        off: contact ends below it [N].
+        touching: ``(*B, 1)`` bool, whether there was contact before.
+        force: ``(*B, 1)`` magnitude of the force [N].
+        on: contact begins above this force [N].
+        off: contact ends below this force [N].
 
     Returns:
-        ``(*B, 1)`` whether there is contact.
+        ``(*B, 1)`` bool, whether there is contact.
     """
     return force > torch.where(touching, off, on)
 
 
 def wall_contact(force: Tensor, velocity: Tensor, heading: Tensor, *, friction: float, slow: float) -> WallContact:
-    r"""Normal and tangent of the wall from force and motion.
+    r"""Normal and tangent of a wall, from force and motion.
 
-    While the tool slides, its velocity is the tangent. Where it is held up, the tangent follows from the force, which
-    friction tilts from the normal towards the motion by ``atan(mu)``:
+    While the tool slides, its velocity gives the tangent. Where it is held up, the force does, which friction tilts
+    from the normal towards the motion by ``atan(mu)``:
 
     .. math::
         f_w &= f_{xy} - \mu\,|f_z|\,v / (|v| + v_s), \quad s = \operatorname{sign}(h \times f_w) \\
         n_f &= R(s \arctan\mu)\, f_w / |f_w|, \quad t_f = R(-s\,\pi/2)\, n_f \\
         t &\propto w\,v/|v| + (1 - w)\, t_f, \quad n = R(s\,\pi/2)\, t, \qquad w = |v|^2 / (|v|^2 + v_s^2)
 
-    ``s`` is +1 with the wall on the left. A velocity against the heading does not count.
+    ``h`` is the direction of the heading, and ``s`` is +1 with the wall on the left. A velocity against the heading has
+    the weight ``w = 0``.
 
     Args:
-        force: ``(*B, 3)`` of the robot on the world, at the tool, world axes [N].
-        velocity: ``(*B, 2)`` v of the tool on the map, world axes [m/s].
-        heading: ``(*B, 1)`` of the tool [rad].
-        friction: mu, an estimate: of walls and floor on the tool [-].
-        slow: v_s, the speed below which the force is believed rather than the motion [m/s].
+        force: ``(*B, 3)`` force of the robot on the world at the tool, world axes [N].
+        velocity: ``(*B, 2)`` horizontal velocity v of the tool, world axes [m/s].
+        heading: ``(*B, 1)`` heading of the tool [rad].
+        friction: mu, an estimate of the friction of walls and floor on the tool [-].
+        slow: v_s, the speed below which the force is trusted more than the motion [m/s].
 
     Returns:
-        The wall; without any force its tangent is the motion's direction, or the heading.
+        The wall. Without any force, its tangent is the direction of motion, or the heading of a tool at rest.
+
+    Source:
+        Ours.
     """
     ahead = torch.cat([heading.cos(), heading.sin()], -1)
     speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
@@ -108,6 +112,6 @@ def wall_contact(force: Tensor, velocity: Tensor, heading: Tensor, *, friction: 
 
 
 def _turned(vector: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
-    """Turn on the map, to the left."""
+    """Rotate horizontal vectors to the left by an angle of this cosine and sine."""
     x, y = vector[..., :1], vector[..., 1:]
     return torch.cat([cos * x - sin * y, sin * x + cos * y], -1)

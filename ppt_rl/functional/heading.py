@@ -1,4 +1,4 @@
-"""The heading of a tool that slides on a map: which way it goes, and vectors as seen along it."""
+"""The heading of a tool that slides over a floor, and vectors in heading axes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def to_heading(vector: Tensor, heading: Tensor) -> Tensor:
     .. math:: v_h = R_z(-\psi)\, v
 
     Args:
-        vector: ``(*B, 3)``, or ``(*B, 6)`` for a twist or wrench, both halves turned; world axes.
-        heading: ``(*B, 1)`` psi, from the world's x axis to the left [rad].
+        vector: ``(*B, 3)``, or ``(*B, 6)`` for a twist or wrench, of which both halves are rotated; world axes.
+        heading: ``(*B, 1)`` psi, positive from the world's x axis to the left [rad].
 
     Returns:
         The vector in heading axes, of the same shape.
@@ -62,28 +62,31 @@ def follow_heading(
     patience: float,
     slow: float,
 ) -> Tensor:
-    r"""Heading after one more step: that of the way made lately, or along the wall where the tool is held up.
+    r"""Heading after one more control step: that of the recent motion, or along the wall where the tool is held up.
 
     .. math::
         h' \propto h + \frac{\max(0, v \cdot h)}{|v|}\,\frac{\Delta t}{\ell}\, v
         + c\,(1 - w)\,\frac{\Delta t}{T}\,t,
         \qquad w = \frac{|v|^2}{|v|^2 + v_s^2}
 
-    So the heading forgets over the distance ``l`` travelled, not over time, it rests with the tool, and backward motion
+    The heading forgets over the distance ``l`` travelled, not over time: it rests while the tool rests. Backward motion
     does not turn it round.
 
     Args:
-        heading: ``(*B, 1)`` [rad].
-        velocity: ``(*B, 2)`` v of the tool on the map, world axes [m/s].
+        heading: ``(*B, 1)`` heading, whose unit vector is h [rad].
+        velocity: ``(*B, 2)`` horizontal velocity v of the tool, world axes [m/s].
         tangent: ``(*B, 2)`` unit vector t along the wall, world axes [-].
-        touching: ``(*B, 1)`` c, whether there is a wall.
+        touching: ``(*B, 1)`` bool c, whether there is a wall.
         dt: control step [s].
-        distance: l [m].
-        patience: T, in which a tool that is held up turns along the wall [s].
-        slow: v_s, the speed of a tool that is held up [m/s].
+        distance: l, distance of travel over which the heading adapts [m].
+        patience: T, time in which a tool that is held up turns along the wall [s].
+        slow: v_s, a tool counts as held up below about this speed [m/s].
 
     Returns:
-        ``(*B, 1)`` heading in (-pi, pi] [rad].
+        ``(*B, 1)`` new heading in (-pi, pi] [rad].
+
+    Source:
+        Ours.
     """
     ahead = torch.cat([heading.cos(), heading.sin()], -1)
     square = velocity.square().sum(-1, keepdim=True)

@@ -1,7 +1,7 @@
-"""Episode metrics as a running memory: the same numbers for step-wise and for episode-level policies.
+"""Metrics of an episode, computed step by step: the same numbers for step-wise and for episode-level policies.
 
-Definitions are in ``docs/metrics.md``. The memory is one packed tensor ``(*B, MEMORY_SIZE)``, so that carrying it from
-step to step costs one entry.
+``docs/metrics.md`` defines them. The memory is one packed tensor ``(*B, MEMORY_SIZE)``, so that it takes one entry of a
+tensordict.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ __all__ = [
     "update_metrics",
 ]
 
-#: Names of the summary, in order.
+#: Names of the metrics, in the order of the summary.
 METRICS = (
     "max_power", "max_power_measured", "jerk_rms", "wrench_p95", "overload_ratio", "contact_continuity", "work",
 )  # fmt: skip
 
-# Sums, then maxima, then first and last contact, then the filter, then the last two velocities, then the histogram.
+# The memory: sums, maxima, first and last contact, state of the filter, the last two velocities, histogram of force.
 _COUNT, _OVERLOAD, _CONTACT, _JERK, _WORK, _POWER, _MEASURED, _FIRST, _LAST = range(9)
 _SUMS, _MAXIMA = slice(0, 5), slice(5, 7)
 _Z1, _Z2, _V1, _V2 = slice(9, 15), slice(15, 21), slice(21, 24), slice(24, 27)
@@ -36,18 +36,18 @@ _BINS = 256
 _HISTOGRAM = slice(27, 27 + _BINS)
 #: Width of the packed memory.
 MEMORY_SIZE = 27 + _BINS
-#: The histogram's first edge and its range in decades [N]: 256 logarithmic bins, 3.7 % wide.
+#: First edge of the histogram [N] and its range in decades: 256 logarithmic bins, each 3.7 % wide.
 _FLOOR, _DECADES = 0.01, 4.0
 
 
 @dataclass(frozen=True)
 class MetricsConfig:
-    """Constants of the metrics.
+    """Thresholds and filter of the metrics.
 
     Attributes:
-        p_max: power above which a step counts as overload [W].
-        contact_force: force above which a step counts as contact [N].
-        cutoff: of the second-order Butterworth low-pass on velocity and force [Hz].
+        p_max: a control step counts as overload above this power [W].
+        contact_force: a control step counts as contact above this force [N].
+        cutoff: cut-off frequency of the second-order Butterworth low-pass on velocity and force [Hz].
     """
 
     p_max: float = 2.0
@@ -55,7 +55,7 @@ class MetricsConfig:
     cutoff: float = 10.0
 
     def __post_init__(self) -> None:
-        """Refuse impossible constants."""
+        """Refuse impossible numbers."""
         for name in ("p_max", "contact_force", "cutoff"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a number above 0.")
@@ -82,12 +82,12 @@ def low_pass(cutoff: float, dt: float) -> tuple[float, float, float, float, floa
 
 
 def begin_metrics(twist: Tensor, wrench: Tensor, config: MetricsConfig, *, dt: float) -> Tensor:
-    """Memory at the start of an episode: the filters rest at the first reading.
+    """Memory at the start of an episode; the filters are at rest at the first reading.
 
     Args:
-        twist: ``(*B, 6)`` measured twist [m/s, rad/s].
-        wrench: ``(*B, 6)`` measured wrench [N, N m].
-        config: constants.
+        twist: ``(*B, 6)`` measured twist of the end effector, world axes [m/s, rad/s].
+        wrench: ``(*B, 6)`` measured wrench of the robot on the world, same axes [N, N m].
+        config: thresholds and filter.
         dt: control step [s].
 
     Returns:
@@ -110,14 +110,14 @@ def update_metrics(
 
     Args:
         memory: ``(*B, MEMORY_SIZE)``.
-        twist: ``(*B, 6)`` measured twist [m/s, rad/s].
-        wrench: ``(*B, 6)`` measured wrench on the world [N, N m].
+        twist: ``(*B, 6)`` measured twist of the end effector, world axes [m/s, rad/s].
+        wrench: ``(*B, 6)`` measured wrench of the robot on the world, same axes [N, N m].
         power: ``(*B, 1)`` commanded power [W].
-        config: constants.
+        config: thresholds and filter.
         dt: control step [s].
 
     Returns:
-        ``(*B, MEMORY_SIZE)`` new memory; the old one is left alone.
+        ``(*B, MEMORY_SIZE)`` new memory; the old one is not changed.
     """
     b0, b1, b2, a1, a2 = low_pass(config.cutoff, dt)
     x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
@@ -142,13 +142,13 @@ def update_metrics(
 
 
 def summarise_metrics(memory: Tensor) -> dict[str, Tensor]:
-    """The metrics of an episode so far.
+    """Metrics of the episode so far.
 
     Args:
         memory: ``(*B, MEMORY_SIZE)``.
 
     Returns:
-        For each name of :data:`METRICS` a tensor ``(*B, 1)``: max_power and max_power_measured [W], jerk_rms [m/s^3],
+        A tensor ``(*B, 1)`` for each name of :data:`METRICS`: max_power and max_power_measured [W], jerk_rms [m/s^3],
         wrench_p95 [N], overload_ratio and contact_continuity [0-1], work [J].
     """
     count = memory[..., _COUNT].clamp_min(1.0)
