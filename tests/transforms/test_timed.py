@@ -10,7 +10,9 @@ import pytest
 import torch
 from torchrl.envs import Compose, ParallelEnv, PendulumEnv, SerialEnv, StepCounter, TransformedEnv
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
+from ppt_rl.modules import Kinematics
 from ppt_rl.transforms import EnergyTankTransform, EpisodeMetricsTransform, JointTorqueTransform, MacroStepTransform
 from ppt_rl.transforms.timed import control_step
 from tests.transforms.cases import CASES, control_chain, make_base, make_env
