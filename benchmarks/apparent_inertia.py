@@ -1,41 +1,73 @@
-"""Apparent inertia of the arm in the push workspace: where the default damping and nullspace inertia come from."""
+"""Typical inertia of an arm with its paddle in the workspace of pushing: the source of ``Joints.inertia`` and of
+``Arm.apparent_inertia``, from which the default damping and the nullspace projection follow.
+
+``python benchmarks/apparent_inertia.py --arm ur5e``
+"""  # noqa: D205
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from ppt_rl.arms.panda import HOME
-from ppt_rl.envs import PandaEnv
+from ppt_rl.arms import Arm, find_arm
+from ppt_rl.envs import ArmEnv
 from ppt_rl.envs.mujoco_imports import mujoco
-from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules import Kinematics
+from ppt_rl.training import run_script
 
 
-def main(samples: int = 500) -> None:
-    """Print medians of the diagonal of the joint-space and of the operational-space inertia."""
-    env = PandaEnv()
-    model, kinematics = env.engine.models[0], PandaKinematics(env.tool_length, dtype=torch.float64)
-    data = mujoco.MjData(model)
-    generator = np.random.default_rng(0)
+@dataclass(frozen=True)
+class Config:
+    """Print the typical inertia of an arm.
+
+    Attributes:
+        arm: its name.
+        samples: poses of the tool that the medians are taken over.
+        seed: of the poses.
+    """
+
+    arm: str = "panda"
+    samples: int = 500
+    seed: int = 0
+
+
+def joint_positions(arm: Arm, tool_length: float, samples: int, seed: int) -> np.ndarray:
+    """Joint positions ``(samples, n)`` with the tool down at the table, anywhere between start and goal of a push."""
+    generator = np.random.default_rng(seed)
     x, y = generator.uniform(0.36, 0.70, samples), generator.uniform(-0.15, 0.15, samples)
-    down = np.tile([0.02, 0.0, 1.0, 0.0, 0.0], (samples, 1))
+    down = np.tile(ArmEnv.start_pose[2:], (samples, 1))
     pose = torch.from_numpy(np.concatenate([x[:, None], y[:, None], down], 1))
-    positions = kinematics.inverse(pose, torch.tensor(HOME, dtype=torch.float64).expand(samples, 7)).numpy()
+    home = torch.tensor(arm.home, dtype=torch.float64).expand(samples, -1)
+    return Kinematics(arm, tool_length, dtype=torch.float64).inverse(pose, home).numpy()
+
+
+def inertias(arm: Arm, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Diagonals of the inertia in joint space ``(samples, n)`` and in operational space ``(samples, 6)``."""
+    env, count = ArmEnv(arm=arm), arm.num_joints
+    model = env.engine.models[0]
+    data, site = mujoco.MjData(model), model.site("end_effector").id
     joint, task = [], []
-    site = model.site("end_effector").id
-    for position in positions:
-        data.qpos[:7] = position
+    for position in joint_positions(arm, env.tool_length, samples, seed):
+        data.qpos[:] = position
         mujoco.mj_forward(model, data)
-        inertia = np.zeros((7, 7))
-        for column, unit in enumerate(np.eye(7)):
+        inertia, jacobian = np.zeros((count, count)), np.zeros((6, count))
+        for column, unit in enumerate(np.eye(count)):
             mujoco.mj_mulM(model, data, inertia[column], unit)
-        jacobian = np.zeros((6, 7))
         mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
         joint.append(np.diag(inertia))
         task.append(np.diag(np.linalg.inv(jacobian @ np.linalg.solve(inertia, jacobian.T))))
+    env.close()
+    return np.asarray(joint), np.asarray(task)
+
+
+def main(run: Config) -> None:
+    """Print the medians."""
+    joint, task = inertias(find_arm(run.arm), run.samples, run.seed)
     print("joint space [kg m^2]          ", np.median(joint, 0).round(3))
     print("operational space [kg, kg m^2]", np.median(task, 0).round(2))
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main, Config)

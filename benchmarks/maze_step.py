@@ -14,9 +14,9 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import Compose, TransformedEnv
 
-from ppt_rl.envs import PandaEnv, PandaMazeEnv, PandaPushEnv
-from ppt_rl.modules import CartesianImpedanceController, PandaKinematics
-from ppt_rl.training import run_cli
+from ppt_rl.envs import ArmEnv, EngineConfig, MazeEnv, PushEnv
+from ppt_rl.modules import CartesianImpedanceController, Kinematics
+from ppt_rl.training import run_script
 from ppt_rl.transforms import EnergyTankTransform, EpisodeMetricsTransform, ImpedanceTransform, JointTorqueTransform
 
 
@@ -37,12 +37,12 @@ class Config:
     repeats: int = 5
 
 
-def chained(base: PandaEnv) -> TransformedEnv:
+def chained(base: ArmEnv) -> TransformedEnv:
     """The chain that the recipes of both tasks share."""
     return TransformedEnv(
         base,
         Compose(
-            JointTorqueTransform(PandaKinematics(base.tool_length)),
+            JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
             EnergyTankTransform(),
             ImpedanceTransform(CartesianImpedanceController()),
             EpisodeMetricsTransform(),
@@ -74,10 +74,10 @@ def _way(tensordict: TensorDictBase, env: TransformedEnv) -> torch.Tensor:
 
 def main(run: Config) -> None:
     """Time both in turn."""
-    threads = run.num_threads or None
+    engine = EngineConfig(num_threads=run.num_threads or None)
     envs = {
-        "push": chained(PandaPushEnv(run.num_envs, num_threads=threads, seed=0)),
-        "maze": chained(PandaMazeEnv.mazes(run.num_envs, num_threads=threads, seed=0)),
+        "push": chained(PushEnv(run.num_envs, seed=0, engine=engine)),
+        "maze": chained(MazeEnv.mazes(run.num_envs, seed=0, engine=engine)),
     }
     times: dict[str, list[float]] = {name: [] for name in envs}
     for env in envs.values():
@@ -95,4 +95,4 @@ def main(run: Config) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    run_cli(main, Config)
+    run_script(main, Config)

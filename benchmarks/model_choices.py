@@ -6,9 +6,7 @@ The reference alone (no policy) pushes boxes; both figures are quoted in docs/me
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -16,11 +14,10 @@ from torchrl.envs import TransformedEnv
 
 from ppt_rl.envs.mujoco_imports import mujoco
 from ppt_rl.evaluation import record_episodes
-from ppt_rl.tasks.push import fit_push_prior
-from ppt_rl.training import run_cli
+from ppt_rl.recipes.ppo_ppt_push import RECIPE
+from ppt_rl.tasks.push import PUSH, fit_push_prior
+from ppt_rl.training import run_script
 from ppt_rl.transforms import JointTorqueTransform
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipes"))
 
 _CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
 
@@ -44,20 +41,15 @@ class Config:
 
 def reference_env(run: Config, promp: Any) -> TransformedEnv:
     """PPT's chain in fresh episodes."""
-    import ppo_ppt_push as recipe
-
-    config = replace(recipe.Config(), num_envs=run.episodes, num_threads=run.num_threads)
-    env = recipe.make_env(config, promp, seed=run.seed)
-    base = env.base_env
+    config = RECIPE.config(num_threads=run.num_threads)
+    base = PUSH.make_test_env(config, num_envs=run.episodes, seed=run.seed, audit=False)
     base.randomisation = replace(base.randomisation, box_yaw=(-run.box_yaw, run.box_yaw))
-    return env
+    return RECIPE.on(base, config, {"promp": promp})
 
 
 def main(run: Config) -> None:
     """Measure and print."""
-    import ppo_ppt_push as recipe
-
-    promp = fit_push_prior(recipe.make_modules(recipe.Config())["promp"])
+    promp = fit_push_prior(RECIPE.make_modules(RECIPE.config())["promp"])
 
     def still(tensordict: Any) -> Any:
         return tensordict.set("action", torch.zeros(run.episodes, promp.num_basis * promp.num_dof))
@@ -90,4 +82,4 @@ def main(run: Config) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    run_cli(main, Config)
+    run_script(main, Config)

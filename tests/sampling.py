@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from ppt_rl.arms.panda import JOINT_LIMITS
+from ppt_rl.arms import PANDA
 from ppt_rl.functional.promp import Gaussian
 
 
@@ -21,7 +21,7 @@ def random_poses(*shape: int, seed: int = 0) -> Tensor:
 
 def random_joint_positions(*shape: int, seed: int = 0) -> Tensor:
     """Joint positions, uniform between the limits, float64."""
-    low, high = torch.tensor(JOINT_LIMITS, dtype=torch.float64).unbind(-1)
+    low, high = torch.tensor(PANDA.joints.position_limits, dtype=torch.float64).unbind(-1)
     return low + (high - low) * torch.rand(
         *shape, 7, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
     )

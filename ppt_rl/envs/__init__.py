@@ -1,13 +1,13 @@
 """Simulated arms with joint torque as the action, and the physics side of each task."""
 
-from ppt_rl.envs.arm import PandaEnv
+from ppt_rl.envs.arm import ArmEnv
 from ppt_rl.envs.maze import (
     Disc,
+    MazeEnv,
     MazeLayout,
     MazeRandomisation,
     MazeRanges,
     MazeRewards,
-    PandaMazeEnv,
     Straight,
     StraightRanges,
     Turn,
@@ -15,10 +15,15 @@ from ppt_rl.envs.maze import (
     random_maze,
     random_straight,
 )
-from ppt_rl.envs.push import PandaPushEnv, PushRandomisation, PushRewards
+from ppt_rl.envs.panda import PandaEnv, PandaMazeEnv, PandaPushEnv
+from ppt_rl.envs.physics import EngineConfig
+from ppt_rl.envs.push import PushEnv, PushRandomisation, PushRewards
 
 __all__ = [
+    "ArmEnv",
     "Disc",
+    "EngineConfig",
+    "MazeEnv",
     "MazeLayout",
     "MazeRandomisation",
     "MazeRanges",
@@ -26,6 +31,7 @@ __all__ = [
     "PandaEnv",
     "PandaMazeEnv",
     "PandaPushEnv",
+    "PushEnv",
     "PushRandomisation",
     "PushRewards",
     "Straight",

@@ -1,4 +1,4 @@
-"""A batch of simulated Pandas with joint torque as the action."""
+"""A batch of simulated arms with joint torque as the action."""
 
 from __future__ import annotations
 
@@ -12,57 +12,57 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite
 from torchrl.envs import EnvBase
 
-from ppt_rl.arms.panda import HOME, TORQUE_LIMITS
+from ppt_rl.arms import PANDA, Arm
 from ppt_rl.envs.audit import AUDITED, AuditedPhysics
 from ppt_rl.envs.models import PADDLE, Tool, remove_visual_geoms, table_scene
 from ppt_rl.envs.mujoco_imports import mjcf
-from ppt_rl.envs.physics import ThreadedPhysics, substeps_per_control_step
+from ppt_rl.envs.physics import EngineConfig, ThreadedPhysics, substeps_per_control_step
 from ppt_rl.envs.readings import ArmReadings
 from ppt_rl.envs.rendering import RenderedScenes
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.functional.checks import require_finite, require_positive
-from ppt_rl.modules.kinematics import PandaKinematics
+from ppt_rl.modules.kinematics import Kinematics
 
-__all__ = ["PandaEnv"]
+__all__ = ["ArmEnv", "Rows"]
 
 Rows = NDArray[np.int64]
 
 
-class PandaEnv(RenderedScenes, EnvBase):
-    """Pandas over an empty table: free motion, no task. Tasks are subclasses.
+class ArmEnv(RenderedScenes, EnvBase):
+    """Arms over an empty table: free motion, no task. Tasks are subclasses.
 
     Gravity is compensated, as the real arm does inside. All environments step together (``batch_locked``), on a native
     thread pool. Readings are those of the last physics substep, half a millisecond old, as on hardware.
 
-    Action: ``action`` ``(num_envs, 7)`` joint torque [N m], clipped to the Panda's limits.
+    Action: ``action`` ``(num_envs, n)`` joint torque [N m], clipped to the limits of the arm's n joints.
 
     Observations, each ``(num_envs, ...)``:
-        ``joint_position`` 7 [rad], ``joint_velocity`` 7 [rad/s], ``pose`` 7 [m, -] and ``twist`` 6 [m/s, rad/s] of the
+        ``joint_position`` n [rad], ``joint_velocity`` n [rad/s], ``pose`` 7 [m, -] and ``twist`` 6 [m/s, rad/s] of the
         end-effector point in world axes, ``wrench`` 6 [N, N m] applied by the robot on the world there, measured at
         the wrist with the tool's weight taken off (its inertia is not), ``diverged`` 1, True where the physics blew up.
 
-    With ``audit``, also the nest ``audit``: ``commanded_work`` and ``measured_work`` [J], ``commanded_power`` and
-    ``measured_power`` (the largest) [W] of the episode so far, over every physics substep (:mod:`ppt_rl.envs.audit`).
+    With ``EngineConfig(audit=True)``, also the nest ``audit``: ``commanded_work`` and ``measured_work`` [J],
+    ``commanded_power`` and ``measured_power`` (the largest) [W] of the episode so far, over every physics substep
+    (:mod:`ppt_rl.envs.audit`).
 
     An episode is truncated after ``duration`` (a task may end there instead, see ``horizon_terminates``), or at once
     where the physics diverges: that row keeps its last good state, so no NaN reaches a collector.
 
     Args:
         num_envs: number of environments.
+        arm: the arm; ``env.arm`` gives it back.
         duration: episode length [s].
-        control_dt: time between actions [s].
-        physics_dt: time step of the physics [s]; must divide ``control_dt``.
-        num_threads: threads of the physics; None takes one per CPU.
+        control_dt: time between actions [s]; ``env.control_dt`` gives it back.
         seed: seed of the randomisation; None draws one.
         dtype: precision of what the environment returns.
         device: device of what the environment returns.
-        audit: whether power and work are measured at the rate of the physics.
+        engine: options of the physics, None for the defaults; ``env.engine_config`` gives them back.
 
     Raises:
         ValueError: if a number is out of range or the time steps do not divide.
 
     Examples:
-        >>> env = PandaEnv(num_envs=2, seed=0)
+        >>> env = ArmEnv(num_envs=2, seed=0)
         >>> env.rollout(3)["next", "pose"].shape
         torch.Size([2, 3, 7])
     """
@@ -78,40 +78,37 @@ class PandaEnv(RenderedScenes, EnvBase):
         self,
         num_envs: int = 1,
         *,
+        arm: Arm = PANDA,
         duration: float = 3.0,
         control_dt: float = 0.01,
-        physics_dt: float = 0.0005,
-        num_threads: int | None = None,
         seed: int | None = None,
         dtype: torch.dtype = torch.float32,
         device: torch.device | str = "cpu",
-        audit: bool = False,
+        engine: EngineConfig | None = None,
     ) -> None:
         if isinstance(num_envs, bool) or int(num_envs) != num_envs or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}; expected a whole number of at least 1.")
-        if num_threads is not None and num_threads < 1:
-            raise ValueError(f"num_threads is {num_threads}; expected at least 1, or None for one per CPU.")
         super().__init__(device=torch.device(device), batch_size=torch.Size([int(num_envs)]))
         self.num_envs = int(num_envs)
+        self.arm = arm
         self.dtype = dtype
+        self.engine_config = engine = EngineConfig() if engine is None else engine
         self.control_dt = require_positive("control_dt", control_dt, "s")
-        self.physics_dt = require_positive("physics_dt", physics_dt, "s")
         self.duration = require_positive("duration", duration, "s")
-        self.substeps = substeps_per_control_step(control_dt, physics_dt)
+        self.substeps = substeps_per_control_step(control_dt, engine.physics_dt)
         self.horizon = max(1, round(duration / control_dt))
         root = self._scene()
         remove_visual_geoms(root)
         model = mjcf.Physics.from_mjcf_model(root).model.ptr
-        engine = ThreadedPhysics(model, self.num_envs, self.substeps, num_threads)
-        self.audit = audit
-        self.engine: Any = AuditedPhysics(engine, model) if audit else engine
-        self._kinematics = PandaKinematics(self.tool_length, dtype=torch.float64)
+        physics = ThreadedPhysics(model, self.num_envs, self.substeps, engine.num_threads)
+        self.engine: Any = AuditedPhysics(physics, model) if engine.audit else physics
+        self._kinematics = Kinematics(arm, self.tool_length, dtype=torch.float64)
         self._readings = ArmReadings(model, dtype)
         self._prepare(model)
         self._sensors = torch.zeros(self.num_envs, model.nsensordata, dtype=dtype)
         self._elapsed = torch.zeros(self.num_envs, 1, dtype=torch.int64)
         self._diverged = torch.zeros(self.num_envs, 1, dtype=torch.bool)
-        self._torque_limit = torch.tensor(TORQUE_LIMITS, dtype=torch.float64)
+        self._torque_limit = torch.tensor(self.arm.joints.torque_limits, dtype=torch.float64)
         self._make_specs()
         self.set_seed(seed if seed is not None else int(np.random.SeedSequence().generate_state(1)[0]))
 
@@ -119,7 +116,7 @@ class PandaEnv(RenderedScenes, EnvBase):
 
     def _scene(self) -> Any:
         """MJCF of the scene, with looks."""
-        return table_scene(self.tool, physics_dt=self.physics_dt)
+        return table_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt)
 
     def _task_spec(self, make: SpecMaker) -> Composite:
         """Specs of the observations that the task adds."""
@@ -231,23 +228,26 @@ class PandaEnv(RenderedScenes, EnvBase):
 
     def _make_specs(self) -> None:
         make = SpecMaker(self.batch_size, self.dtype, self.device)
-        real, flag = make.real, make.flag
+        real, flag, count = make.real, make.flag, self.arm.num_joints
         self.observation_spec = make.nest(
-            joint_position=real(7), joint_velocity=real(7), pose=real(7), twist=real(6), wrench=real(6), diverged=flag()
-        )
+            joint_position=real(count), joint_velocity=real(count), pose=real(7), twist=real(6), wrench=real(6),
+            diverged=flag(),
+        )  # fmt: skip
         self.observation_spec.update(self._task_spec(make))
-        if self.audit:
+        if self.engine_config.audit:
             self.observation_spec["audit"] = make.nest(**{name: real(1) for name in AUDITED})
-        limit = torch.tensor(TORQUE_LIMITS, dtype=self.dtype, device=self.device).expand(self.num_envs, 7)
+        limit = torch.tensor(self.arm.joints.torque_limits, dtype=self.dtype, device=self.device).expand(
+            self.num_envs, count
+        )
         self.action_spec = Bounded(-limit, limit, shape=limit.shape, dtype=self.dtype, device=self.device)
         self.reward_spec = real(1)
         self.done_spec = make.nest(done=flag(), terminated=flag(), truncated=flag())
 
     def _checked_torque(self, action: Tensor, mask: Tensor | None) -> Tensor:
-        if action.shape != (self.num_envs, 7):
+        if action.shape != (self.num_envs, self.arm.num_joints):
             raise ValueError(
-                f"action has shape {tuple(action.shape)}; expected ({self.num_envs}, 7): a joint torque [N m] for each "
-                "environment. Put JointTorqueTransform on the environment to act with a wrench."
+                f"action has shape {tuple(action.shape)}; expected ({self.num_envs}, {self.arm.num_joints}): the joint "
+                "torques [N m] of each environment. Put JointTorqueTransform on the environment to act with a wrench."
             )
         torque = action.detach().to("cpu", torch.float64)
         require_finite("action (joint torque)", torque if mask is None else torque[mask])
@@ -256,7 +256,7 @@ class PandaEnv(RenderedScenes, EnvBase):
     def _observation(self) -> dict[str, Any]:
         observation: dict[str, Any] = self._readings.observe(self._sensors)
         observation["diverged"] = self._diverged.clone()
-        if self.audit:
+        if self.engine_config.audit:
             observation["audit"] = self.engine.observe(self.dtype)
         return observation
 
@@ -276,5 +276,5 @@ class PandaEnv(RenderedScenes, EnvBase):
 
     def _arm_position(self, pose: Tensor) -> Tensor:
         """Joint positions of the arm at ``(R, 7)`` poses."""
-        guess = torch.tensor(HOME, dtype=pose.dtype).expand(len(pose), 7)
+        guess = torch.tensor(self.arm.home, dtype=pose.dtype).expand(len(pose), -1)
         return self._kinematics.inverse(pose, guess)

@@ -31,14 +31,14 @@ class ArmReadings:
     """Turns sensor vectors into observations of the arm.
 
     Args:
-        model: compiled model with the sensors of ``panda_model`` and ``attach_tool``.
+        model: compiled model with the sensors of ``arm_model`` and ``attach_tool``.
         dtype: precision of the observations.
     """
 
     def __init__(self, model: Any, dtype: torch.dtype) -> None:
         self.slices = {
-            "joint_position": sensor_span(model, "joint_position1", "joint_position7"),
-            "joint_velocity": sensor_span(model, "joint_velocity1", "joint_velocity7"),
+            "joint_position": sensor_span(model, "joint_position1", f"joint_position{model.nu}"),
+            "joint_velocity": sensor_span(model, "joint_velocity1", f"joint_velocity{model.nu}"),
             "pose": sensor_span(model, "position", "orientation"),
             "twist": sensor_span(model, "linear_velocity", "angular_velocity"),
         }

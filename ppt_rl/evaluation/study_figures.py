@@ -15,7 +15,7 @@ from ppt_rl.evaluation.figures import moving_average, save_figure
 from ppt_rl.functional.promp import Gaussian
 from ppt_rl.modules.promp import ProMP
 
-__all__ = ["VARIANT_COLORS", "plot_boxes", "plot_curves", "plot_filmstrip", "plot_promp", "plot_tanks"]
+__all__ = ["VARIANT_COLORS", "plot_boxes", "plot_curves", "plot_filmstrip", "plot_promp", "plot_sweep", "plot_tanks"]
 
 Array = NDArray[np.float64]
 #: One colour for each variant, told apart by the colour-blind too.
@@ -199,4 +199,36 @@ def plot_filmstrip(
         grid[row, 0].set_ylabel(label)
     figure.suptitle(title)
     figure.tight_layout(pad=0.4)
+    save_figure(figure, path)
+
+
+def plot_sweep(
+    curves: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float], Sequence[Sequence[float]]]]],
+    path: Path,
+    *,
+    usual: Mapping[str, tuple[float, float]],
+) -> None:
+    """Success against the difficulty of the episodes, one panel a quantity.
+
+    Args:
+        curves: by quantity (with unit) and by actor: values, success rates [0-1] and their 95 % intervals.
+        path: where the picture goes.
+        usual: by quantity, the range of the test, which is shaded.
+    """
+    figure = Figure(figsize=(3.6 * len(curves), 3.6), layout="constrained")
+    for axes, (quantity, actors) in zip(np.atleast_1d(figure.subplots(1, len(curves))), curves.items(), strict=True):
+        if quantity in usual:
+            axes.axvspan(*usual[quantity], color=_GREY, alpha=0.15, lw=0)
+        for name, (values, rates, intervals) in actors.items():
+            low, high = np.asarray(intervals, dtype=float).T
+            error = 100 * np.abs(np.stack([np.asarray(rates) - low, high - np.asarray(rates)]))
+            color = VARIANT_COLORS.get(name, _GREY)
+            rate = 100 * np.asarray(rates)
+            axes.errorbar(values, rate, yerr=error, color=color, marker="o", ms=4, capsize=2, label=name)
+        axes.set_xlabel(quantity)
+        axes.set_ylim(0, 103)
+        axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, loc="lower left")
+    figure.axes[0].set_ylabel("success [%]")
+    figure.suptitle("shaded: the range of the test; bars: 95 % intervals", fontsize=9)
     save_figure(figure, path)

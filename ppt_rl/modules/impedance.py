@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from ppt_rl.arms import PANDA
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.impedance import cartesian_impedance, critical_damping
 
@@ -14,9 +15,6 @@ __all__ = ["CartesianImpedanceController"]
 
 #: Spring of the default gains: stiff enough to track, soft enough to touch [N/m, N m/rad].
 STIFFNESS = (400.0, 400.0, 400.0, 30.0, 30.0, 30.0)
-#: Apparent inertia of the arm with its tool at the pushing height, per axis: medians over the push workspace
-#: (``python benchmarks/apparent_inertia.py``) [kg, kg m^2].
-APPARENT_INERTIA = (8.35, 4.90, 8.75, 0.91, 0.75, 0.10)
 
 
 class CartesianImpedanceController(nn.Module):
@@ -30,7 +28,7 @@ class CartesianImpedanceController(nn.Module):
         stiffness: K, one number or 6 [N/m, N m/rad].
         damping_ratio: zeta, one number or 6 [-].
         damping: D, one number or 6 [N s/m, N m s/rad]; None derives it from the ratio.
-        inertia: M, 6 numbers [kg, kg m^2]; None takes the Panda's.
+        inertia: M, 6 numbers [kg, kg m^2]: the arm's ``apparent_inertia``.
         learnable: whether gains are parameters (their logarithms, so that they stay positive).
 
     Raises:
@@ -52,11 +50,11 @@ class CartesianImpedanceController(nn.Module):
         damping_ratio: float | Sequence[float] = 1.0,
         *,
         damping: float | Sequence[float] | None = None,
-        inertia: Sequence[float] | None = None,
+        inertia: Sequence[float] = PANDA.apparent_inertia,
         learnable: bool = False,
     ) -> None:
         super().__init__()
-        gains = {"stiffness": _six("stiffness", stiffness), "inertia": _six("inertia", inertia or APPARENT_INERTIA)}
+        gains = {"stiffness": _six("stiffness", stiffness), "inertia": _six("inertia", inertia)}
         if damping is None:
             gains["damping_ratio"] = _six("damping_ratio", damping_ratio)
         else:

@@ -1,4 +1,4 @@
-"""Forward kinematics and geometric Jacobian of the Panda, on pytorch-kinematics."""
+"""Forward kinematics, geometric Jacobian and inverse kinematics of an arm, on pytorch-kinematics."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import torch
 from pytorch_kinematics.frame import Frame, Joint, Link
 from torch import Tensor, nn
 
-from ppt_rl.arms.panda import DH, FLANGE, JOINT_LIMITS
+from ppt_rl.arms import Arm
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.impedance import orientation_error
 from ppt_rl.functional.rotations import matrix_to_quat
 
-__all__ = ["PandaKinematics"]
+__all__ = ["Kinematics"]
 
 
-def _turn_x(alpha: float) -> Tensor:
-    c, s = math.cos(alpha), math.sin(alpha)
+def _turn_x(angle: float) -> Tensor:
+    c, s = math.cos(angle), math.sin(angle)
     return torch.tensor([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]], dtype=torch.float64)
 
 
@@ -27,27 +27,25 @@ def _turn_z(angle: float) -> Tensor:
     return torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
 
 
-def _joint_offsets(tool_length: float) -> Tensor:
-    """``(8, 4, 4)`` poses of the seven joints and of the end-effector point, each in the frame before it."""
-    offsets = torch.eye(4, dtype=torch.float64).repeat(8, 1, 1)
-    for offset, (a, d, alpha) in zip(offsets, DH, strict=False):
-        offset[:3, :3] = _turn_x(alpha)
-        offset[:3, 3] = torch.tensor([a, -math.sin(alpha) * d, math.cos(alpha) * d], dtype=torch.float64)
-    length, turn = FLANGE
-    offsets[7, :3, :3] = _turn_z(turn)
-    offsets[7, 2, 3] = length + tool_length
+def _offsets(arm: Arm, tool_length: float) -> Tensor:
+    """``(n + 1, 4, 4)`` poses of the joints and of the end-effector point, each in the frame before it."""
+    offsets = torch.eye(4, dtype=torch.float64).repeat(arm.num_joints + 1, 1, 1)
+    for matrix, offset in zip(offsets, arm.chain.offsets, strict=False):
+        matrix[:3, :3] = _turn_x(offset.twist) @ _turn_z(offset.turn)
+        matrix[:3, 3] = torch.tensor(offset.position, dtype=torch.float64)
+    offsets[-1, :3, :3] = _turn_z(arm.tool_turn)
+    offsets[-1, 2, 3] = arm.chain.flange + tool_length
     return offsets
 
 
-def _panda_chain(offsets: Tensor) -> pk.SerialChain:
-    """Serial chain of the seven joints and the tool, through the Frame, Link and Joint classes."""
+def _chain(arm: Arm, offsets: Tensor) -> pk.SerialChain:
+    """Serial chain of the joints and the tool, through the Frame, Link and Joint classes."""
     f64 = torch.float64
     base = Frame("base", link=Link("base"), joint=Joint("base_fixed", dtype=f64))
     parent = base
     *joints, tip = (pk.Transform3d(matrix=offset, dtype=f64) for offset in offsets)
-    for i, offset in enumerate(joints, start=1):
-        limits = (JOINT_LIMITS[i - 1].low, JOINT_LIMITS[i - 1].high)
-        joint = Joint(f"joint{i}", offset, "revolute", (0.0, 0.0, 1.0), dtype=f64, limits=limits)
+    for i, (offset, limits) in enumerate(zip(joints, arm.joints.position_limits, strict=True), start=1):
+        joint = Joint(f"joint{i}", offset, "revolute", (0.0, 0.0, 1.0), dtype=f64, limits=tuple(limits))
         child = Frame(f"link{i}", link=Link(f"link{i}"), joint=joint)
         parent.add_child(child)
         parent = child
@@ -55,17 +53,20 @@ def _panda_chain(offsets: Tensor) -> pk.SerialChain:
     return pk.SerialChain(pk.Chain(base, dtype=f64), "tool", dtype=f64)
 
 
-class PandaKinematics(nn.Module):
-    """Pose and Jacobian of the end-effector point as differentiable functions of joint position.
+class Kinematics(nn.Module):
+    """Pose and Jacobian of an arm's end-effector point as differentiable functions of joint position.
 
     The base frame is the world frame. The end-effector point lies ``tool_length`` beyond the flange along its axis.
+    Below, ``n`` is the arm's number of joints.
 
     Args:
-        tool_length: distance from flange to end-effector point [m]. ``PandaEnv.tool_length`` gives an environment's.
+        arm: the arm. ``env.arm`` gives an environment's.
+        tool_length: distance from flange to end-effector point [m]. ``env.tool_length`` gives an environment's.
         dtype: precision of the kinematic constants. Inputs are cast to it.
 
     Examples:
-        >>> kinematics = PandaKinematics(tool_length=0.15)
+        >>> from ppt_rl.arms import PANDA
+        >>> kinematics = Kinematics(PANDA, tool_length=0.15)
         >>> pose, jacobian = kinematics(torch.zeros(2, 7))
         >>> pose.shape, jacobian.shape
         (torch.Size([2, 7]), torch.Size([2, 6, 7]))
@@ -73,30 +74,31 @@ class PandaKinematics(nn.Module):
 
     _anchor: Tensor
 
-    def __init__(self, tool_length: float, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(self, arm: Arm, tool_length: float, dtype: torch.dtype = torch.float32) -> None:
         super().__init__()
+        self.arm = arm
         self.tool_length = float(tool_length)
         # Follows `.to()` so that the constants, exact in float64, can follow it too.
         self.register_buffer("_anchor", torch.zeros((), dtype=dtype), persistent=False)
         self._build()
 
     def _build(self) -> None:
-        """Chain and offsets in the precision and on the device of the anchor."""
-        offsets = _joint_offsets(self.tool_length)
-        self._chain = _panda_chain(offsets).to(dtype=self._anchor.dtype, device=self._anchor.device)
+        """Build chain and offsets in the precision and on the device of the anchor."""
+        offsets = _offsets(self.arm, self.tool_length)
+        self._chain = _chain(self.arm, offsets).to(dtype=self._anchor.dtype, device=self._anchor.device)
         self._offsets = offsets.to(self._anchor)
 
     def forward(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
         """Pose and Jacobian together.
 
         Args:
-            joint_position: ``(*B, 7)`` [rad].
+            joint_position: ``(*B, n)`` [rad].
 
         Returns:
-            ``(*B, 7)`` pose in world [m, -] and ``(*B, 6, 7)`` geometric Jacobian, linear rows first, world axes.
+            ``(*B, 7)`` pose in world [m, -] and ``(*B, 6, n)`` geometric Jacobian, linear rows first, world axes.
 
         Raises:
-            ValueError: if the last dimension is not 7.
+            ValueError: if the last dimension is not n.
         """
         jacobian, matrix = self._jacobian_and_matrix(joint_position)
         pose = torch.cat([matrix[..., :3, 3], matrix_to_quat(matrix[..., :3, :3])], -1)
@@ -106,10 +108,10 @@ class PandaKinematics(nn.Module):
         """Geometric Jacobian: ``twist = J joint_velocity``.
 
         Args:
-            joint_position: ``(*B, 7)`` [rad].
+            joint_position: ``(*B, n)`` [rad].
 
         Returns:
-            ``(*B, 6, 7)``, linear rows first, world axes, at the end-effector point.
+            ``(*B, 6, n)``, linear rows first, world axes, at the end-effector point.
         """
         return self._jacobian_and_matrix(joint_position)[0]
 
@@ -118,18 +120,18 @@ class PandaKinematics(nn.Module):
 
         Args:
             pose: ``(*B, 7)`` wanted pose in world [m, -].
-            guess: ``(*B, 7)`` where to start [rad]; the solution is a near one.
+            guess: ``(*B, n)`` joint position to start from [rad]; the solution found is near it.
             iterations: number of steps.
             damping: of the least-squares step [-].
 
         Returns:
-            ``(*B, 7)`` joint position [rad].
+            ``(*B, n)`` joint position [rad].
 
         Raises:
             ValueError: if a pose is not reached within 0.1 mm and 0.1 mrad inside the joint limits.
         """
         position = guess.clone()
-        low, high = position.new_tensor(JOINT_LIMITS).unbind(-1)
+        low, high = position.new_tensor(self.arm.joints.position_limits).unbind(-1)
         for _ in range(iterations):
             reached, jacobian = self.forward(position)
             error = torch.cat(
@@ -151,29 +153,30 @@ class PandaKinematics(nn.Module):
         return position
 
     def _jacobian_and_matrix(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
-        require_last_dim("joint_position", joint_position, 7)
+        count = self.arm.num_joints
+        require_last_dim("joint_position", joint_position, count)
         if self._offsets.dtype != self._anchor.dtype or self._offsets.device != self._anchor.device:
             self._build()
         batch = joint_position.shape[:-1]
-        frames = self._frames(joint_position.reshape(-1, 7).to(self._anchor.dtype))
+        frames = self._frames(joint_position.reshape(-1, count).to(self._anchor.dtype))
         jacobian, matrix = self._chain.jacobian_tensor(None, ret_eef_pose=True, all_transforms=frames)
-        return jacobian.reshape(*batch, 6, 7), matrix.reshape(*batch, 4, 4)
+        return jacobian.reshape(*batch, 6, count), matrix.reshape(*batch, 4, 4)
 
     def _frames(self, joint_position: Tensor) -> Tensor:
-        """``(9, B, 4, 4)`` poses of base, seven links and tool in world, the order of the chain.
+        """``(n + 2, B, 4, 4)`` poses of base, links and tool in world, the order of the chain.
 
-        The product along the chain is written out for seven joints about z: the chain's own forward kinematics walks a
+        The product along the chain is written out for joints about z: the chain's own forward kinematics walks a
         general tree frame by frame, at four times the cost, and its analytical gradient has a wrong double backward.
         """
-        batch = len(joint_position)
-        angle = joint_position.mT.unsqueeze(-1)  # (7, B, 1)
+        batch, count = joint_position.shape
+        angle = joint_position.mT.unsqueeze(-1)  # (n, B, 1)
         cos, sin = angle.cos(), angle.sin()
-        x, y, z, origin = self._offsets[:7].unsqueeze(1).unbind(-1)  # (7, 1, 4) each
-        columns = [cos * x + sin * y, cos * y - sin * x, z.expand(7, batch, 4), origin.expand(7, batch, 4)]
+        x, y, z, origin = self._offsets[:-1].unsqueeze(1).unbind(-1)  # (n, 1, 4) each
+        columns = [cos * x + sin * y, cos * y - sin * x, z.expand(count, batch, 4), origin.expand(count, batch, 4)]
         base = torch.eye(4, dtype=angle.dtype, device=angle.device).expand(batch, 4, 4)
         first, *others = torch.stack(columns, -1).unbind(0)
         frames = [base, first]
         for offset in others:
             frames.append(frames[-1] @ offset)
-        frames.append(frames[-1] @ self._offsets[7])
+        frames.append(frames[-1] @ self._offsets[-1])
         return torch.stack(frames)

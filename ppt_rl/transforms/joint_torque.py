@@ -10,27 +10,27 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
-from ppt_rl.arms.panda import HOME, JOINT_INERTIA, TORQUE_LIMITS
 from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
-from ppt_rl.modules.kinematics import PandaKinematics
+from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.base import ActionTransform, replace_leaf
 
 __all__ = ["JointTorqueTransform"]
 
 
 class JointTorqueTransform(ActionTransform):
-    r"""Turns a wrench ``(*B, 6)`` into joint torque ``(*B, 7)``, clipped to the Panda's limits.
+    r"""Turns a wrench ``(*B, 6)`` into joint torque ``(*B, n)``, clipped to the limits of the arm's n joints.
 
     .. math:: \tau = J^\top \lambda + N\,\big(k_q (q_0 - q) - d_q \dot q\big)
 
     with ``N`` the nullspace projection: the posture term moves the arm, not the end effector (at rest a few percent of
-    it leak through, since the projection is damped and its inertia diagonal). It also writes the commanded ``power``
+    it leak through, since the projection is damped and its inertia diagonal). An arm of six joints has no nullspace, so
+    there the posture term is left out, whatever the arguments say. It also writes the commanded ``power``
     ``wrench . twist`` ``(*B, 1)`` [W] as an observation, positive when energy leaves the robot.
 
     Args:
-        kinematics: Jacobian of the arm at the end-effector point.
-        posture: ``q_0``, 7 numbers [rad].
+        kinematics: of the arm, with its tool; the limits are its arm's.
+        posture: ``q_0``, n numbers [rad]; None takes the arm's home.
         posture_stiffness: ``k_q`` [N m/rad]; zero leaves the posture alone, and with it the projection.
         posture_damping: ``d_q`` [N m s/rad].
         max_torque_rate: largest change of a joint torque [N m/s]; None sets no limit. Franka's own is 1000.
@@ -47,9 +47,9 @@ class JointTorqueTransform(ActionTransform):
 
     def __init__(
         self,
-        kinematics: PandaKinematics,
+        kinematics: Kinematics,
         *,
-        posture: Sequence[float] = HOME,
+        posture: Sequence[float] | None = None,
         posture_stiffness: float = 10.0,
         posture_damping: float = 2.0,
         max_torque_rate: float | None = None,
@@ -57,27 +57,30 @@ class JointTorqueTransform(ActionTransform):
         action_key: NestedKey = "action",
     ) -> None:
         super().__init__(action_key)
-        if len(posture) != 7:
-            raise ValueError(f"posture has {len(posture)} numbers; expected 7 joint positions [rad].")
+        arm = kinematics.arm
+        posture = arm.home if posture is None else posture
+        if len(posture) != arm.num_joints:
+            raise ValueError(f"posture has {len(posture)} numbers; expected {arm.num_joints} joint positions [rad].")
         if posture_stiffness < 0 or posture_damping < 0:
             raise ValueError(
                 f"posture_stiffness={posture_stiffness}, posture_damping={posture_damping}; expected both at least 0."
             )
         self.kinematics = kinematics
+        self.has_nullspace = arm.num_joints > 6
         self.posture_stiffness = float(posture_stiffness)
         self.posture_damping = float(posture_damping)
         rate = None if max_torque_rate is None else require_positive("max_torque_rate", max_torque_rate, "N m/s")
         self.max_torque_change = None if rate is None else rate * require_positive("dt", dt, "s")
         self.register_buffer("posture", torch.tensor(posture), persistent=False)
-        self.register_buffer("joint_inertia", torch.tensor(JOINT_INERTIA), persistent=False)
-        self.register_buffer("torque_limit", torch.tensor(TORQUE_LIMITS), persistent=False)
+        self.register_buffer("joint_inertia", torch.tensor(arm.joints.inertia), persistent=False)
+        self.register_buffer("torque_limit", torch.tensor(arm.joints.torque_limits), persistent=False)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         wrench, position = self._require(tensordict, self.action_key, "joint_position")
         require_last_dim("wrench", wrench, 6)
         jacobian = self.kinematics.jacobian(position).to(wrench.dtype)
         torque = joint_torque(jacobian, wrench)
-        if self.posture_stiffness or self.posture_damping:
+        if self.has_nullspace and (self.posture_stiffness or self.posture_damping):
             (velocity,) = self._require(tensordict, "joint_velocity")
             posture = self.posture_stiffness * (self.posture - position) - self.posture_damping * velocity
             torque = torque + nullspace_torque(jacobian, posture, self.joint_inertia)
@@ -110,7 +113,7 @@ class JointTorqueTransform(ActionTransform):
         return ["power"] if self.max_torque_change is None else ["power", "torque"]
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        sizes = {"power": 1, "torque": 7}
+        sizes = {"power": 1, "torque": self.kinematics.arm.num_joints}
         return {
             key: Unbounded(shape=(*like.shape[:-1], sizes[key]), dtype=like.dtype, device=like.device)
             for key in self._state_keys()

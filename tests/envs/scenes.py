@@ -11,10 +11,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
-from ppt_rl.arms.panda import TORQUE_LIMITS
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaEnv, PandaPushEnv
 from ppt_rl.modules.impedance import CartesianImpedanceController
-from ppt_rl.modules.kinematics import PandaKinematics
+from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.impedance import ImpedanceTransform
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
 
@@ -43,14 +43,14 @@ def impedance_chain(
 ) -> EnvBase:
     """The environment with a reference of pose and twist as its action; ``between`` acts on the wrench."""
     controller = CartesianImpedanceController() if controller is None else controller
-    joints = JointTorqueTransform(PandaKinematics(env.tool_length), **posture)
+    joints = JointTorqueTransform(Kinematics(env.arm, env.tool_length), **posture)
     return TransformedEnv(env, Compose(joints, *between, ImpedanceTransform(controller)))
 
 
 def torques(env: PandaEnv, steps: int, seed: int = 0, scale: float = 0.05) -> Tensor:
     """Random torques ``(num_envs, steps, 7)``, uniform within ``scale`` times the limits."""
     unit = 2 * torch.rand(env.num_envs, steps, 7, generator=torch.Generator().manual_seed(seed), dtype=env.dtype) - 1
-    return scale * unit * torch.tensor(TORQUE_LIMITS, dtype=env.dtype)
+    return scale * unit * torch.tensor(PANDA.joints.torque_limits, dtype=env.dtype)
 
 
 def act(env: EnvBase, observation: TensorDictBase, action: Tensor | None = None) -> TensorDictBase:

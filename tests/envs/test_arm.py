@@ -4,7 +4,7 @@ import torch
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
-from ppt_rl.envs import PandaEnv, PandaPushEnv
+from ppt_rl.envs import EngineConfig, PandaEnv, PandaPushEnv
 from tests.envs.scenes import act, assert_same, leaves, rollout, torques
 
 ENVS = [PandaEnv, PandaPushEnv]
@@ -30,7 +30,7 @@ def test_a_tensordict_of_another_batch_size_is_refused():
 def test_a_seed_gives_the_same_rollout_to_the_bit_on_one_thread_and_on_two():
     runs = []
     for num_threads in (1, 2, 2):
-        env = PandaPushEnv(5, duration=0.06, seed=3, num_threads=num_threads)
+        env = PandaPushEnv(5, duration=0.06, seed=3, engine=EngineConfig(num_threads=num_threads))
         runs.append(rollout(env, torques(env, 15)))
     assert_same(runs[0], runs[1])
     assert_same(runs[1], runs[2])

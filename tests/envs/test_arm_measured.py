@@ -3,11 +3,11 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from ppt_rl.arms.panda import TORQUE_LIMITS
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaEnv, PandaPushEnv, PushRandomisation
 from ppt_rl.functional.impedance import joint_torque
 from ppt_rl.functional.rotations import quat_conjugate, quat_multiply, quat_rotate
-from ppt_rl.modules.kinematics import PandaKinematics
+from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from tests.envs.scenes import MidAirEnv, act, assert_same, impedance_chain, rollout, torques
 
@@ -37,7 +37,7 @@ def test_the_force_in_free_motion_is_the_mass_of_the_tool_times_its_acceleration
     tool = env.engine.models[0].body("tool")
     arm = quat_rotate(run["pose"][..., 3:], env._readings._com.expand(3, 40, 3))
     speed = run["twist"][..., :3] + torch.linalg.cross(run["twist"][..., 3:], arm)
-    inertial = float(tool.mass[0]) * speed.diff(dim=1) / env.physics_dt
+    inertial = float(tool.mass[0]) * speed.diff(dim=1) / env.engine_config.physics_dt
     assert inertial.norm(dim=-1).max() > 0.1
     assert_close(run["wrench"][:, :-1, :3], inertial, rtol=0.01, atol=1e-3)
 
@@ -81,9 +81,9 @@ def test_a_tool_pressed_down_is_measured_with_the_wrench_it_is_pressed_with():
 def test_the_twist_is_the_rate_of_the_pose():
     env, run = moving()
     before, after = run["pose"][:, :-1], run["pose"][:, 1:]
-    linear = (after[..., :3] - before[..., :3]) / env.physics_dt
+    linear = (after[..., :3] - before[..., :3]) / env.engine_config.physics_dt
     turn = quat_multiply(after[..., 3:], quat_conjugate(before[..., 3:]))
-    angular = 2 * turn[..., 1:] * turn[..., :1].sign() / env.physics_dt
+    angular = 2 * turn[..., 1:] * turn[..., :1].sign() / env.engine_config.physics_dt
     twist = run["twist"][:, 1:]  # the integrator moves with the new velocity
     assert twist.norm(dim=-1).max() > 0.1
     assert_close(torch.cat([linear, angular], -1), twist, rtol=1e-3, atol=1e-4)
@@ -93,7 +93,7 @@ def test_the_twist_is_the_rate_of_the_pose():
 def test_pose_and_twist_follow_from_the_joints_read_at_the_same_instant(dtype, atol):
     env = MidAirEnv(3, seed=0, dtype=dtype)
     run = rollout(env, torques(env, 30, scale=0.1))["next"]
-    pose, jacobian = PandaKinematics(env.tool_length, dtype=F64)(run["joint_position"].to(F64))
+    pose, jacobian = Kinematics(env.arm, env.tool_length, dtype=F64)(run["joint_position"].to(F64))
     sign = (pose[..., 3:] * run["pose"][..., 3:]).sum(-1, keepdim=True).sign()
     twist = (jacobian @ run["joint_velocity"].to(F64).unsqueeze(-1)).squeeze(-1)
     assert_close(run["pose"][..., :3].to(F64), pose[..., :3], rtol=0, atol=atol)
@@ -104,7 +104,7 @@ def test_pose_and_twist_follow_from_the_joints_read_at_the_same_instant(dtype, a
 def test_a_wrench_in_free_space_moves_the_tool_along_its_own_axis():
     env = MidAirEnv(6, seed=0, dtype=F64)
     wrench = torch.diag(torch.tensor([5.0, 5.0, 5.0, 0.5, 0.5, 0.5], dtype=F64))
-    kinematics = PandaKinematics(env.tool_length, dtype=F64)
+    kinematics = Kinematics(env.arm, env.tool_length, dtype=F64)
     observation = env.reset()
     for _ in range(5):
         torque = joint_torque(kinematics.jacobian(observation["joint_position"]), wrench)
@@ -114,7 +114,7 @@ def test_a_wrench_in_free_space_moves_the_tool_along_its_own_axis():
 
 def test_the_wrench_transform_commands_the_torque_that_the_environment_executes():
     env = MidAirEnv(2, seed=0, dtype=F64)
-    kinematics = PandaKinematics(env.tool_length, dtype=F64)
+    kinematics = Kinematics(env.arm, env.tool_length, dtype=F64)
     transform = JointTorqueTransform(kinematics, posture_stiffness=0.0, posture_damping=0.0)
     start = env.reset()
     wrench = torch.tensor([[1.0, 2.0, 3.0, 0.1, 0.2, 0.3]], dtype=F64).expand(2, 6)
@@ -125,7 +125,7 @@ def test_the_wrench_transform_commands_the_torque_that_the_environment_executes(
 
 
 def test_torque_above_the_limits_acts_as_torque_at_the_limits():
-    limit = torch.tensor(TORQUE_LIMITS).expand(2, 7)
+    limit = torch.tensor(PANDA.joints.torque_limits).expand(2, 7)
     runs = []
     for torque in (limit, 3 * limit, -limit, -3 * limit):
         env = MidAirEnv(2, seed=0)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from ppt_rl.envs import PandaEnv, PandaPushEnv
+from ppt_rl.envs import EngineConfig, PandaEnv, PandaPushEnv
 from tests.envs.scenes import act, forwarded, torques
 
 F64 = torch.float64
@@ -28,12 +28,10 @@ opengl = pytest.mark.skipif(
         ({"num_envs": -1}, "num_envs is -1; expected a whole number of at least 1"),
         ({"num_envs": 1.5}, "num_envs is 1.5; expected a whole number of at least 1"),
         ({"num_envs": True}, "num_envs is True; expected a whole number of at least 1"),
-        ({"num_threads": 0}, "num_threads is 0; expected at least 1, or None"),
         (
-            {"physics_dt": 0.003},
+            {"engine": EngineConfig(physics_dt=0.003)},
             r"control_dt=0.01 s is 3.33333 times physics_dt=0.003 s; expected a whole number. Take",
         ),
-        ({"physics_dt": 0.0}, "physics_dt is 0.0; expected a finite number above 0 s"),
         ({"control_dt": -0.01}, "control_dt is -0.01; expected a finite number above 0 s"),
         ({"duration": float("nan")}, "duration is nan; expected a finite number above 0 s"),
     ],

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,12 +8,13 @@ from dm_control import mjcf
 from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
-from ppt_rl.arms.panda import TORQUE_LIMITS
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.envs.audit import AUDITED, AuditedPhysics
 from ppt_rl.envs.models import PADDLE, table_scene
 from ppt_rl.envs.physics import PhysicsStep
 from ppt_rl.envs.readings import sensor_span
+from tests.engines import COARSE
 from tests.envs.scenes import act, leaves, rollout, torques
 
 F64 = torch.float64
@@ -25,7 +27,7 @@ H = 0.001  # physics step of the scripted engine [s]
 @pytest.fixture(scope="module")
 def model():
     """The sensors of the arm, in a world without gravity: the wrist feels the wrench on the world and no weight."""
-    model = mjcf.Physics.from_mjcf_model(table_scene(PADDLE, physics_dt=H)).model.ptr
+    model = mjcf.Physics.from_mjcf_model(table_scene(PANDA, PADDLE, physics_dt=H)).model.ptr
     model.opt.gravity[:] = 0.0
     return model
 
@@ -167,7 +169,7 @@ def test_what_was_observed_does_not_change_with_the_next_step(model):
 
 def push(audit=True, **changes):
     """Two short pushing episodes."""
-    settings = {"num_envs": 2, "duration": 0.2, "physics_dt": 0.002, "num_threads": 1, "seed": 0, "audit": audit}
+    settings = {"num_envs": 2, "duration": 0.2, "seed": 0, "engine": replace(COARSE, audit=audit)}
     return PandaPushEnv(**{**settings, **changes})
 
 
@@ -253,7 +255,7 @@ def test_the_commanded_work_is_that_of_the_torques_that_reach_the_engine_over_ev
 def test_at_the_rate_of_the_physics_the_audit_adds_up_what_is_observed():
     env = push(control_dt=0.002, duration=0.1, dtype=F64)
     action = torques(env, 40, scale=1.3)  # some of them above the limits
-    limit = torch.tensor(TORQUE_LIMITS, dtype=F64)
+    limit = torch.tensor(PANDA.joints.torque_limits, dtype=F64)
     assert (action.abs() > limit).any()
     run = rollout(env, action)
     after = run["next"]

@@ -6,12 +6,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from ppt_rl.arms.panda import HOME, JOINT_LIMITS
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaEnv
 from ppt_rl.functional.impedance import orientation_error
 from ppt_rl.functional.rotations import quat_from_yaw, quat_multiply, quat_to_matrix, vee
 from ppt_rl.modules.impedance import CartesianImpedanceController
-from ppt_rl.modules.kinematics import PandaKinematics
+from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
 from tests.envs.scenes import MID_AIR, MidAirEnv, act, from_joint_positions, impedance_chain
 
@@ -39,9 +39,9 @@ def starts() -> Tensor:
     half = 0.5 * LARGEST * torch.rand(240, 1, generator=generator, dtype=torch.float64)
     turned = quat_multiply(torch.cat([half.cos(), half.sin() * axis], -1), DOWN.expand(240, 4))
     place = torch.tensor(MID_AIR[:3], dtype=torch.float64)
-    kinematics = PandaKinematics(PandaEnv.tool.length, dtype=torch.float64)
-    low, high = torch.tensor(JOINT_LIMITS, dtype=torch.float64).unbind(-1)
-    joints = torch.tensor(HOME, dtype=torch.float64).repeat(240, 1)
+    kinematics = Kinematics(PANDA, PandaEnv.tool.length, dtype=torch.float64)
+    low, high = torch.tensor(PANDA.joints.position_limits, dtype=torch.float64).unbind(-1)
+    joints = torch.tensor(PANDA.home, dtype=torch.float64).repeat(240, 1)
     for _ in range(80):
         pose, jacobian = kinematics(joints)
         error = torch.cat([place - pose[:, :3], orientation_error(pose[:, 3:], turned)], -1)
@@ -102,7 +102,7 @@ class CorrectedController(PrintedController):
 
 
 def test_the_random_orientation_errors_fill_the_range_up_to_two_and_a_half_radians(starts):
-    pose, _ = PandaKinematics(PandaEnv.tool.length, dtype=torch.float64)(starts)
+    pose, _ = Kinematics(PANDA, PandaEnv.tool.length, dtype=torch.float64)(starts)
     angle = angle_between(pose[:, 3:], DOWN)
     assert torch.histc(angle, 5, 0.0, LARGEST).min() >= 25
     assert angle.max() > 2.45

@@ -6,9 +6,9 @@ import pytest
 import torch
 from dm_control import mjcf
 
-from ppt_rl.arms.panda import HOME, INERTIAL, JOINT_LIMITS, TORQUE_LIMITS
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaEnv, PandaPushEnv, PushRandomisation
-from ppt_rl.envs.models import PADDLE, panda_model, remove_visual_geoms, table_scene
+from ppt_rl.envs.models import PADDLE, arm_model, remove_visual_geoms, table_scene
 from ppt_rl.envs.push.scene import push_scene
 from tests.envs.scenes import forwarded
 
@@ -31,16 +31,16 @@ def physics_model():
 def test_joint_ranges_and_torque_limits_are_those_of_the_table(physics_model):
     for i in range(7):
         joint, motor = physics_model.joint(f"joint{i + 1}"), physics_model.actuator(f"motor{i + 1}")
-        assert joint.range.tolist() == list(JOINT_LIMITS[i])
+        assert joint.range.tolist() == list(PANDA.joints.position_limits[i])
         assert joint.limited[0]
-        assert motor.ctrlrange.tolist() == [-TORQUE_LIMITS[i], TORQUE_LIMITS[i]]
+        assert motor.ctrlrange.tolist() == [-PANDA.joints.torque_limits[i], PANDA.joints.torque_limits[i]]
         assert motor.ctrllimited[0]
         assert motor.trnid[0] == joint.id
         assert motor.gear.tolist() == [1, 0, 0, 0, 0, 0]
 
 
 def test_masses_centres_and_inertias_of_the_links_are_those_of_the_table(physics_model):
-    for i, link in enumerate(INERTIAL, start=1):
+    for i, link in enumerate(PANDA.links, start=1):
         body = physics_model.body(f"link{i}")
         assert body.mass[0] == link.mass
         np.testing.assert_allclose(body.ipos, link.com, rtol=0, atol=1e-12)
@@ -66,7 +66,7 @@ def test_gravity_is_compensated_on_arm_and_tool_but_not_on_the_box(physics_model
 
 def test_the_end_effector_point_lies_in_the_centre_of_the_bar_a_tool_length_beyond_the_flange(physics_model):
     data = mujoco.MjData(physics_model)
-    data.qpos[:7] = HOME
+    data.qpos[:7] = PANDA.home
     mujoco.mj_forward(physics_model, data)
     np.testing.assert_allclose(data.site("end_effector").xpos, data.geom("bar").xpos, rtol=0, atol=1e-12)
     flange = data.body("tool").xpos
@@ -82,9 +82,9 @@ def test_the_paddle_is_a_bar_of_12_by_1_by_1_centimetres(physics_model):
 # -- the scene ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scene", [panda_model, table_scene, push_scene])
+@pytest.mark.parametrize("scene", [arm_model, table_scene, push_scene])
 def test_no_scene_needs_a_mesh_or_a_file(scene):
-    root = scene()
+    root = scene(PANDA)
     model = compiled(root)
     assert (model.nmesh, model.nhfield) == (0, 0)
     assert root.get_assets() == {}
@@ -98,7 +98,7 @@ def test_every_geom_that_is_stepped_can_collide(env_class):
 
 
 def test_dropping_the_looks_changes_no_mass_and_no_contact_geometry():
-    looks, bare = push_scene(), push_scene()
+    looks, bare = push_scene(PANDA), push_scene(PANDA)
     remove_visual_geoms(bare)
     full, stepped = compiled(looks), compiled(bare)
     assert stepped.ngeom < full.ngeom
@@ -148,7 +148,7 @@ def test_a_randomised_model_is_the_one_that_would_be_compiled_with_its_numbers()
     env.reset()
     for model in env.engine.models:
         half, mass = float(model.geom("box").size[0]), float(model.body("box").mass[0])
-        root = push_scene(half_size=half, mass=mass)
+        root = push_scene(PANDA, half_size=half, mass=mass)
         remove_visual_geoms(root)
         fresh = compiled(root)
         fresh.geom("box").friction[0] = model.geom("box").friction[0]
@@ -225,10 +225,10 @@ def test_a_box_on_the_table_settles_by_a_tenth_of_a_millimetre_and_then_stays_wi
 @pytest.mark.parametrize("degrees", [0, 30, 75])
 @pytest.mark.parametrize("friction", [0.2, 0.6])
 def test_a_sliding_box_stops_on_a_straight_line_after_the_distance_of_coulomb_friction(degrees, friction):
-    model = compiled(push_scene())
+    model = compiled(push_scene(PANDA))
     model.geom("box").friction[0] = friction
     data = mujoco.MjData(model)
-    data.qpos[:7] = HOME
+    data.qpos[:7] = PANDA.home
     data.qpos[7:10] = [0.5, 0.0, 0.03]
     mujoco.mj_forward(model, data)
     for _ in range(200):  # settle

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from dm_control import mjcf
 
-from ppt_rl.arms.panda import HOME, TORQUE_LIMITS
+from ppt_rl.arms import PANDA
 from ppt_rl.envs.physics import ThreadedPhysics, substeps_per_control_step
 from ppt_rl.envs.push.scene import push_scene
 
@@ -13,11 +13,11 @@ SUBSTEPS = 20
 
 def make_engine(num_envs=4, num_threads=2):
     """An engine of pushing scenes, the tool 1 cm in front of the box, each box of its own mass."""
-    model = mjcf.Physics.from_mjcf_model(push_scene()).model.ptr
+    model = mjcf.Physics.from_mjcf_model(push_scene(PANDA)).model.ptr
     engine = ThreadedPhysics(model, num_envs, SUBSTEPS, num_threads)
     for row, each in enumerate(engine.models):
         each.body("box").mass[:] = 0.05 * (1 + row)
-    position = np.tile([*HOME, 0.45, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0], (num_envs, 1))
+    position = np.tile([*PANDA.home, 0.45, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0], (num_envs, 1))
     # The tool's point at home lies in the air: a tall box under it would not be reached, so let the box fall.
     position[:, 9] += 0.0005 * np.arange(num_envs)
     engine.reset(np.arange(num_envs), position)
@@ -26,7 +26,7 @@ def make_engine(num_envs=4, num_threads=2):
 
 def controls(num_envs, steps, seed=0):
     """Random torques, ``(steps, num_envs, 7)``."""
-    return np.random.default_rng(seed).uniform(-0.1, 0.1, (steps, num_envs, 7)) * np.asarray(TORQUE_LIMITS)
+    return np.random.default_rng(seed).uniform(-0.1, 0.1, (steps, num_envs, 7)) * np.asarray(PANDA.joints.torque_limits)
 
 
 def plain_control_step(model, state, control):
@@ -72,7 +72,7 @@ def test_a_step_of_some_rows_in_any_order_does_to_them_what_a_full_step_does():
 def test_a_reset_gives_the_sensor_readings_of_the_state_it_makes():
     engine = make_engine()
     engine.step(controls(4, 1)[0])
-    position = np.array([[*HOME, 0.5, 0.1, 0.03, 1.0, 0.0, 0.0, 0.0]])
+    position = np.array([[*PANDA.home, 0.5, 0.1, 0.03, 1.0, 0.0, 0.0, 0.0]])
     sensors = engine.reset(np.array([2]), position)
     data = mujoco.MjData(engine.models[2])
     mujoco.mj_setState(engine.models[2], data, engine.state(2), STATE)

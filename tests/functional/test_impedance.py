@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from ppt_rl.arms.panda import HOME, JOINT_INERTIA
+from ppt_rl.arms import PANDA
 from ppt_rl.functional.impedance import (
     cartesian_impedance,
     critical_damping,
@@ -14,20 +14,20 @@ from ppt_rl.functional.impedance import (
     power,
 )
 from ppt_rl.functional.rotations import quat_multiply, quat_to_matrix, vee
-from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules import Kinematics
 from tests.sampling import normal, random_joint_positions, random_poses, random_quats
 
 F64 = torch.float64
 TIGHT = {"rtol": 0.0, "atol": 1e-12}
 TOOL_DOWN = torch.tensor([0.0, 1.0, 0.0, 0.0], dtype=F64)
-INERTIA = torch.tensor(JOINT_INERTIA, dtype=F64)
+INERTIA = torch.tensor(PANDA.joints.inertia, dtype=F64)
 #: Shoulder, elbow and wrist in line, with the hand straight and bent: the Jacobian loses rank.
 SINGULAR = torch.tensor([[0.0] * 7, [0.5, 0.0, 0.3, 0.0, 0.2, 1.0, 0.0]], dtype=F64)
 
 
 @pytest.fixture(scope="module")
-def kinematics() -> PandaKinematics:
-    return PandaKinematics(0.16, dtype=F64)
+def kinematics() -> Kinematics:
+    return Kinematics(PANDA, 0.16, dtype=F64)
 
 
 def turn(angle: float, axis: torch.Tensor) -> torch.Tensor:
@@ -154,7 +154,7 @@ def test_nullspace_torque_does_not_accelerate_the_end_effector_away_from_singula
 
 
 def test_nullspace_torque_leaves_a_torque_that_is_already_in_the_nullspace(kinematics):
-    jacobian = kinematics.jacobian(torch.tensor(HOME, dtype=F64))
+    jacobian = kinematics.jacobian(torch.tensor(PANDA.home, dtype=F64))
     free = torch.linalg.svd(jacobian)[2][-1]  # J free = 0, so M free accelerates nothing
     torque = INERTIA * free
     assert_close(nullspace_torque(jacobian, torque, INERTIA), torque, **TIGHT)
@@ -183,6 +183,6 @@ def test_with_unit_inertia_it_is_the_kinematic_projection(kinematics):
 def test_gradients_of_the_laws_are_right(kinematics):
     quats = [random_quats(2, seed=s).requires_grad_() for s in (1, 2)]
     assert torch.autograd.gradcheck(orientation_error, quats)
-    jacobian = kinematics.jacobian(torch.tensor(HOME, dtype=F64)).detach().requires_grad_()
+    jacobian = kinematics.jacobian(torch.tensor(PANDA.home, dtype=F64)).detach().requires_grad_()
     torque = normal(7).requires_grad_()
     assert torch.autograd.gradcheck(lambda j, t: nullspace_torque(j, t, INERTIA), (jacobian, torque))

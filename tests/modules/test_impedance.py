@@ -4,9 +4,10 @@ import pytest
 import torch
 from torch.testing import assert_close
 
+from ppt_rl.arms import PANDA
 from ppt_rl.functional import cartesian_impedance, joint_torque
-from ppt_rl.modules import CartesianImpedanceController, PandaKinematics
-from ppt_rl.modules.impedance import APPARENT_INERTIA, STIFFNESS
+from ppt_rl.modules import CartesianImpedanceController, Kinematics
+from ppt_rl.modules.impedance import STIFFNESS
 from tests.sampling import normal, random_joint_positions, random_poses
 
 F64 = torch.float64
@@ -41,13 +42,13 @@ def test_any_batch_keeps_its_shape_and_precision(shape, dtype):
 def test_damping_is_twice_the_ratio_times_the_root_of_stiffness_and_inertia(ratio):
     controller = CartesianImpedanceController(damping_ratio=ratio)
     ratios = [ratio] * 6 if isinstance(ratio, float) else ratio
-    expected = [2 * z * math.sqrt(k * m) for z, k, m in zip(ratios, STIFFNESS, APPARENT_INERTIA, strict=True)]
+    expected = [2 * z * math.sqrt(k * m) for z, k, m in zip(ratios, STIFFNESS, PANDA.apparent_inertia, strict=True)]
     assert_close(controller.damping, torch.tensor(expected), rtol=1e-5, atol=0.0)
 
 
 def test_a_stiffness_passed_to_the_call_brings_its_own_damping():
     inputs, stiffness = batch(5), torch.full((5, 6), 100.0, dtype=F64)
-    inertia = torch.tensor(APPARENT_INERTIA, dtype=F64)
+    inertia = torch.tensor(PANDA.apparent_inertia, dtype=F64)
     expected = cartesian_impedance(*inputs, stiffness, 2 * (stiffness * inertia).sqrt())
     assert_close(CartesianImpedanceController()(*inputs, stiffness=stiffness), expected, rtol=1e-5, atol=1e-5)
 
@@ -72,7 +73,7 @@ def test_the_damping_that_follows_a_stiffness_is_differentiable():
 
 
 def test_the_joint_torque_is_differentiable_in_the_joint_position():
-    kinematics, controller = PandaKinematics(0.16, dtype=F64), CartesianImpedanceController()
+    kinematics, controller = Kinematics(PANDA, 0.16, dtype=F64), CartesianImpedanceController()
     _, _, reference_pose, reference_twist = batch(2)
     velocity = normal(2, 7, seed=5)
 

@@ -5,26 +5,26 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from ppt_rl.arms.panda import HOME, JOINT_LIMITS
+from ppt_rl.arms import PANDA
 from ppt_rl.envs.models import PADDLE, table_scene
 from ppt_rl.envs.mujoco_imports import mjcf, mujoco
 from ppt_rl.functional.rotations import quat_conjugate, quat_from_yaw, quat_multiply, quat_to_matrix
-from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules import Kinematics
 from tests.sampling import normal, random_joint_positions
 
 F32, F64 = torch.float32, torch.float64
-REACH = torch.tensor(HOME, dtype=F64)
+REACH = torch.tensor(PANDA.home, dtype=F64)
 
 
 @pytest.fixture(scope="module")
-def kinematics() -> PandaKinematics:
-    return PandaKinematics(PADDLE.length, dtype=F64)
+def kinematics() -> Kinematics:
+    return Kinematics(PANDA, PADDLE.length, dtype=F64)
 
 
 @pytest.fixture(scope="module")
 def mujoco_truth() -> tuple[torch.Tensor, ...]:
     """1000 joint positions inside the limits with MuJoCo's site position, site matrix and site Jacobian."""
-    physics = mjcf.Physics.from_mjcf_model(table_scene())
+    physics = mjcf.Physics.from_mjcf_model(table_scene(PANDA))
     model, data = physics.model.ptr, physics.data.ptr
     site = physics.model.name2id("end_effector", "site")
     joint_position = random_joint_positions(1000)
@@ -43,7 +43,7 @@ def mujoco_truth() -> tuple[torch.Tensor, ...]:
 @pytest.mark.parametrize(("dtype", "atol"), [(F32, 1e-5), (F64, 1e-12)], ids=["float32", "float64"])
 def test_pose_and_jacobian_agree_with_mujoco(mujoco_truth, dtype, atol):
     joint_position, position, matrix, jacobian = mujoco_truth
-    pose, own_jacobian = PandaKinematics(PADDLE.length, dtype=dtype)(joint_position.to(dtype))
+    pose, own_jacobian = Kinematics(PANDA, PADDLE.length, dtype=dtype)(joint_position.to(dtype))
     for own, true in ((pose[:, :3], position), (quat_to_matrix(pose[:, 3:]), matrix), (own_jacobian, jacobian)):
         assert own.dtype == dtype
         assert_close(own.double(), true, rtol=0.0, atol=atol)
@@ -58,7 +58,7 @@ def test_at_home_the_tool_points_down_in_front_of_the_base(kinematics):
 
 def test_a_longer_tool_moves_the_point_along_the_tools_axis(kinematics):
     q = random_joint_positions(20)
-    near, far = kinematics(q)[0], PandaKinematics(PADDLE.length + 0.1, dtype=F64)(q)[0]
+    near, far = kinematics(q)[0], Kinematics(PANDA, PADDLE.length + 0.1, dtype=F64)(q)[0]
     axis = quat_to_matrix(near[:, 3:])[:, :, 2]
     assert_close(far[:, :3] - near[:, :3], 0.1 * axis, rtol=0.0, atol=1e-12)
     assert_close(far[:, 3:], near[:, 3:], rtol=0.0, atol=1e-12)
@@ -107,14 +107,14 @@ def test_batched_rows_equal_single_calls(kinematics, batch):
 
 def test_moving_to_double_gives_full_double_precision(kinematics):
     q = random_joint_positions(10)
-    for moved in (PandaKinematics(PADDLE.length).to(F64), copy.deepcopy(PandaKinematics(PADDLE.length)).double()):
+    for moved in (Kinematics(PANDA, PADDLE.length).to(F64), copy.deepcopy(Kinematics(PANDA, PADDLE.length)).double()):
         pose, jacobian = moved(q)
         assert pose.dtype == jacobian.dtype == F64
         assert_close((pose, jacobian), kinematics(q), rtol=0.0, atol=1e-14)
 
 
 def test_inputs_are_cast_to_the_modules_precision():
-    pose, jacobian = PandaKinematics(0.1)(random_joint_positions(2))
+    pose, jacobian = Kinematics(PANDA, 0.1)(random_joint_positions(2))
     assert pose.dtype == jacobian.dtype == F32
 
 
@@ -124,13 +124,13 @@ def test_it_has_no_state_to_save(kinematics):
 
 @pytest.mark.parametrize("dtype", [F32, F64])
 def test_inverse_kinematics_reaches_poses_near_the_guess_inside_the_limits(dtype):
-    kinematics = PandaKinematics(PADDLE.length, dtype=dtype)
+    kinematics = Kinematics(PANDA, PADDLE.length, dtype=dtype)
     wanted, _ = kinematics((REACH + 0.15 * normal(30, 7)).to(dtype))
     found = kinematics.inverse(wanted, REACH.to(dtype).expand(30, 7))
     reached, _ = kinematics(found)
     assert_close(reached[:, :3], wanted[:, :3], rtol=0.0, atol=1e-4)
     assert bool(((reached[:, 3:] * wanted[:, 3:]).sum(-1).abs() > math.cos(0.5e-4) - 1e-6).all())
-    low, high = torch.tensor(JOINT_LIMITS, dtype=dtype).unbind(-1)
+    low, high = torch.tensor(PANDA.joints.position_limits, dtype=dtype).unbind(-1)
     assert bool(((found >= low) & (found <= high)).all())
 
 

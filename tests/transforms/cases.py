@@ -11,9 +11,10 @@ from tensordict import TensorDict
 from tensordict.utils import NestedKey
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaMazeEnv, PandaPushEnv
 from ppt_rl.functional import MetricsConfig
-from ppt_rl.modules import CartesianImpedanceController, PandaKinematics, ProMP, TaskSpace
+from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     ContactViaPointTransform,
@@ -28,6 +29,7 @@ from ppt_rl.transforms import (
     RecedingProMPTransform,
     ViaPointTransform,
 )
+from tests.engines import ONE_THREAD
 from tests.transforms.mocks import MockArmEnv
 
 AXES = ("x", "y", "yaw")
@@ -153,7 +155,7 @@ CASES: dict[str, Case] = {
         nested={**_ACTION, "pose_key": ("agent", "pose"), "twist_key": ("agent", "twist")},
     ),
     "JointTorqueTransform": Case(
-        lambda **kwargs: JointTorqueTransform(PandaKinematics(0.1), max_torque_rate=1000.0, **kwargs),
+        lambda **kwargs: JointTorqueTransform(Kinematics(PANDA, 0.1), max_torque_rate=1000.0, **kwargs),
         outer=(6,),
         state=("power", "torque"),
         nested=_ACTION,
@@ -227,13 +229,13 @@ def stored(name: str, batch: tuple[int, ...] = (4,), seed: int = 3) -> TensorDic
 
 def push_env(num_envs: int = 2, *transforms: Transform, duration: float = 0.1, seed: int = 0, **kwargs: Any) -> EnvBase:
     """The pushing task on one thread, with transforms."""
-    base = PandaPushEnv(num_envs, duration=duration, num_threads=1, seed=seed, **kwargs)
+    base = PandaPushEnv(num_envs, duration=duration, seed=seed, **{"engine": ONE_THREAD, **kwargs})
     return TransformedEnv(base, Compose(*transforms)) if transforms else base
 
 
 def sliding_env(base: PandaMazeEnv) -> TransformedEnv:
     """A maze in which references drive the tool and its heading is kept."""
-    kinematics, controller = PandaKinematics(base.tool_length), CartesianImpedanceController(stiffness=250.0)
+    kinematics, controller = Kinematics(base.arm, base.tool_length), CartesianImpedanceController(stiffness=250.0)
     return TransformedEnv(
         base,
         Compose(
@@ -247,7 +249,7 @@ def sliding_env(base: PandaMazeEnv) -> TransformedEnv:
 def control_chain() -> list[Transform]:
     """What runs at control rate."""
     return [
-        JointTorqueTransform(PandaKinematics(PandaPushEnv.tool.length), max_torque_rate=1000.0),
+        JointTorqueTransform(Kinematics(PANDA, PandaPushEnv.tool.length), max_torque_rate=1000.0),
         EnergyTankTransform(),
         ImpedanceTransform(CartesianImpedanceController()),
         EpisodeMetricsTransform(MetricsConfig()),

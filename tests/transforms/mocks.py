@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from ppt_rl.arms.panda import HOME
+from ppt_rl.arms import PANDA
 
 
 class MockArmEnv(EnvBase):
@@ -90,7 +90,7 @@ class MockArmEnv(EnvBase):
                 "offset": offset,
                 "push": push,
                 "executed": executed,
-                "joint_position": torch.tensor(HOME, dtype=self.dtype) + wave(7, 0.1),
+                "joint_position": torch.tensor(PANDA.home, dtype=self.dtype) + wave(7, 0.1),
                 "joint_velocity": wave(7),
                 self._named("pose"): pose,
                 self._named("twist"): wave(6),

@@ -9,9 +9,11 @@ from torch.testing import assert_close
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
-from ppt_rl.modules import CartesianImpedanceController, PandaKinematics, TaskSpace
+from ppt_rl.modules import CartesianImpedanceController, Kinematics, TaskSpace
 from ppt_rl.transforms import CartesianVelocityTransform, ImpedanceTransform, JointTorqueTransform
+from tests.engines import COARSE
 from tests.transforms.cases import AXES, ORIGIN, push_env
 from tests.transforms.mocks import MockArmEnv, ScriptedEnv, play
 
@@ -257,11 +259,11 @@ def test_a_missing_pose_is_named():
 def push_velocity_env():
     return push_env(
         2,
-        JointTorqueTransform(PandaKinematics(PandaPushEnv.tool.length)),
+        JointTorqueTransform(Kinematics(PANDA, PandaPushEnv.tool.length)),
         ImpedanceTransform(CartesianImpedanceController()),
         CartesianVelocityTransform(SPACE, max_velocity=0.4),
         duration=0.3,
-        physics_dt=0.002,
+        engine=COARSE,
     )
 
 

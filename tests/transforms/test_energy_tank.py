@@ -6,9 +6,11 @@ from tensordict import TensorDict
 from torchrl.envs import PendulumEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
-from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules import Kinematics
 from ppt_rl.transforms import EnergyTankTransform, JointTorqueTransform, MacroStepTransform
+from tests.engines import ONE_THREAD
 from tests.transforms.cases import push_env
 from tests.transforms.mocks import MockArmEnv, NestedEffortEnv, actions_for, play
 
@@ -21,7 +23,7 @@ NESTED = {
 
 
 def test_the_default_tank_limits_the_joint_power_of_the_simulated_arm():
-    env = TransformedEnv(PandaPushEnv(num_envs=4, duration=0.1, num_threads=1, seed=0), EnergyTankTransform())
+    env = TransformedEnv(PandaPushEnv(num_envs=4, duration=0.1, seed=0, engine=ONE_THREAD), EnergyTankTransform())
     check_env_specs(env)
     steps = play(env, actions_for(env, 10, scale=20.0))
     nominal = (steps["action"] * steps["joint_velocity"]).sum(-1, keepdim=True).abs()
@@ -94,7 +96,7 @@ def test_an_effort_that_is_not_finite_is_refused(bad):
 @pytest.mark.parametrize(("p_max", "e_max"), [(2.0, 3.0), (0.5, 0.02)])
 def test_adversarial_efforts_keep_power_and_work_within_the_budget_on_the_simulated_arm(effort, p_max, e_max):
     tank = EnergyTankTransform(p_max=p_max, e_max=e_max)
-    chain = [JointTorqueTransform(PandaKinematics(PandaPushEnv.tool.length)), tank] if effort == "wrench" else [tank]
+    chain = [JointTorqueTransform(Kinematics(PANDA, PandaPushEnv.tool.length)), tank] if effort == "wrench" else [tank]
     env = push_env(3, *chain, duration=0.6)
     size, scale = (6, 200.0) if effort == "wrench" else (7, 100.0)
     flow_key = "twist" if effort == "wrench" else "joint_velocity"

@@ -4,9 +4,10 @@ import pytest
 import torch
 from torchrl.envs import Compose, TransformedEnv
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.functional.metrics import METRICS, MetricsConfig, begin_metrics, summarise_metrics, update_metrics
-from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules import Kinematics
 from ppt_rl.transforms import EpisodeMetricsTransform, JointTorqueTransform
 from tests.transforms.cases import push_env
 from tests.transforms.mocks import MockArmEnv, actions_for, play
@@ -63,7 +64,7 @@ def test_a_partial_reset_begins_a_new_episode_in_its_rows_and_goes_on_in_the_oth
 
 
 def test_max_power_is_the_commanded_power_where_it_is_observed():
-    chain = Compose(JointTorqueTransform(PandaKinematics(0.1)), EpisodeMetricsTransform(CONFIG))
+    chain = Compose(JointTorqueTransform(Kinematics(PANDA, 0.1)), EpisodeMetricsTransform(CONFIG))
     env = TransformedEnv(MockArmEnv((2,), horizons=(6,)), chain)
     steps = play(env, actions_for(env, 6, scale=20.0))
     commanded = (steps["action"] * steps["twist"]).sum(-1).abs().amax(1)
@@ -79,7 +80,7 @@ def test_max_power_is_the_measured_power_where_no_commanded_one_is_observed():
 
 
 def test_streaming_equals_the_functional_form_on_the_simulated_arm():
-    chain = [JointTorqueTransform(PandaKinematics(PandaPushEnv.tool.length)), EpisodeMetricsTransform(CONFIG)]
+    chain = [JointTorqueTransform(Kinematics(PANDA, PandaPushEnv.tool.length)), EpisodeMetricsTransform(CONFIG)]
     env = push_env(2, *chain)
     steps = play(env, actions_for(env, 10, scale=10.0))
     assert steps["next", "done"][:, -1].all()

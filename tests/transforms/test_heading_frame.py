@@ -15,6 +15,7 @@ from ppt_rl.functional.heading import from_heading, to_heading
 from ppt_rl.tasks.maze.config import maze_space
 from ppt_rl.tasks.maze.follower import WallFollower
 from ppt_rl.transforms import HeadingFrameTransform
+from tests.engines import COARSE
 from tests.sampling import normal
 from tests.transforms.cases import sliding_env
 from tests.transforms.mocks import ScriptedEnv, play
@@ -163,7 +164,7 @@ def test_a_number_that_is_not_positive_is_refused_by_name(name: str, value: floa
 
 
 def test_in_a_corridor_the_heading_turns_from_the_one_that_is_told_to_that_of_the_corridor() -> None:
-    env = sliding_env(PandaMazeEnv.straight(2, physics_dt=0.002, num_threads=1, seed=3, duration=2.0))
+    env = sliding_env(PandaMazeEnv.straight(2, seed=3, duration=2.0, engine=COARSE))
     steps = env.rollout(175, WallFollower(maze_space()), break_when_any_done=False)
     off = unwrapped(steps["heading"] - steps["corridor_heading"]).abs()
     assert off[:, 0].min() > 0.3

@@ -5,18 +5,19 @@ from torchrl.envs import Compose, StepCounter, TransformedEnv, UnaryTransform
 
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.transforms import MacroStepTransform
+from tests.engines import COARSE
 from tests.transforms.mocks import MockArmEnv
 
 
 def interrupted(after: int) -> TransformedEnv:
     """Chunks of five torques that are cut off once so many control steps are over."""
-    base = PandaPushEnv(2, num_threads=1, physics_dt=0.002, seed=0)
+    base = PandaPushEnv(2, seed=0, engine=COARSE)
     late = UnaryTransform(["step_count"], ["late"], fn=lambda count: count >= after)
     return TransformedEnv(base, Compose(StepCounter(), late, MacroStepTransform(5, interrupt_key="late")))
 
 
 def test_a_chunk_that_interrupts_every_row_stops_one_step_later_and_the_next_goes_on_from_there() -> None:
-    env, plain = interrupted(3), PandaPushEnv(2, num_threads=1, physics_dt=0.002, seed=0)
+    env, plain = interrupted(3), PandaPushEnv(2, seed=0, engine=COARSE)
     torque = torch.linspace(-2.0, 2.0, 7).expand(2, 7)
     tensordict, by_hand = env.reset(), plain.reset()
     for executed in (4, 2, 2):  # all at once, so they execute one step more

@@ -4,18 +4,18 @@ import pytest
 import torch
 from torchrl.envs import TransformedEnv
 
-from ppt_rl.arms.panda import TORQUE_LIMITS
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
-from ppt_rl.modules import PandaKinematics
+from ppt_rl.modules import Kinematics
 from ppt_rl.transforms import JointTorqueTransform
 from tests.transforms.cases import push_env
 from tests.transforms.mocks import MockArmEnv, actions_for, play
 
-LIMITS = torch.tensor(TORQUE_LIMITS)
+LIMITS = torch.tensor(PANDA.joints.torque_limits)
 
 
 def make_env(batch=(2,), horizons=(20,), **kwargs):
-    return TransformedEnv(MockArmEnv(batch, horizons=horizons), JointTorqueTransform(PandaKinematics(0.1), **kwargs))
+    return TransformedEnv(MockArmEnv(batch, horizons=horizons), JointTorqueTransform(Kinematics(PANDA, 0.1), **kwargs))
 
 
 def test_the_power_key_is_wrench_times_twist():
@@ -29,7 +29,7 @@ def test_the_power_key_is_wrench_times_twist():
 def test_without_posture_the_torque_is_the_transposed_jacobian_times_the_wrench():
     env = make_env(posture_stiffness=0.0, posture_damping=0.0)
     steps = play(env, actions_for(env, 6))
-    jacobian = PandaKinematics(0.1).jacobian(steps["joint_position"])
+    jacobian = Kinematics(PANDA, 0.1).jacobian(steps["joint_position"])
     expected = torch.einsum("...ij,...i->...j", jacobian, steps["action"])
     torch.testing.assert_close(steps["next", "executed"], expected)
 
@@ -38,7 +38,7 @@ def test_the_posture_term_moves_the_joints_but_hardly_accelerates_the_end_effect
     env = make_env()
     steps = play(env, torch.zeros(6, 2, 6))
     posture = steps["next", "executed"]
-    jacobian, inertia = PandaKinematics(0.1).jacobian(steps["joint_position"]), env.transform.joint_inertia
+    jacobian, inertia = Kinematics(PANDA, 0.1).jacobian(steps["joint_position"]), env.transform.joint_inertia
     assert (posture.abs() < LIMITS).all()
     raw = 10.0 * (env.transform.posture - steps["joint_position"]) - 2.0 * steps["joint_velocity"]
 
@@ -74,7 +74,7 @@ def test_without_a_rate_limit_there_is_no_torque_key():
 
 
 def test_the_simulated_arm_receives_what_the_transform_gives_and_pushes_along_the_wrench():
-    env = push_env(2, JointTorqueTransform(PandaKinematics(PandaPushEnv.tool.length)), duration=0.2)
+    env = push_env(2, JointTorqueTransform(Kinematics(PANDA, PandaPushEnv.tool.length)), duration=0.2)
     wrench = torch.tensor((-10.0, 0.0, 0.0, 0.0, 0.0, 0.0)).expand(10, 2, 6)
     steps = play(env, wrench)
     assert (steps["next", "twist"][:, -1, 0] < -0.01).all()
@@ -93,14 +93,14 @@ def test_the_simulated_arm_receives_what_the_transform_gives_and_pushes_along_th
 )
 def test_a_number_out_of_range_is_refused_by_name(kwargs, match):
     with pytest.raises(ValueError, match=match):
-        JointTorqueTransform(PandaKinematics(0.1), **kwargs)
+        JointTorqueTransform(Kinematics(PANDA, 0.1), **kwargs)
 
 
 @pytest.mark.parametrize("size", [5, 7])
 def test_a_wrench_of_another_size_than_six_is_refused(size):
     td = MockArmEnv((2,)).reset().set("action", torch.zeros(2, size))
     with pytest.raises(ValueError, match=r"wrench has shape .*expected \(\*batch, 6\)"):
-        JointTorqueTransform(PandaKinematics(0.1)).inv(td)
+        JointTorqueTransform(Kinematics(PANDA, 0.1)).inv(td)
 
 
 @pytest.mark.parametrize("key", ["joint_position", "joint_velocity", "twist"])

@@ -12,6 +12,7 @@ from torchrl.envs import Compose, PendulumEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from ppt_rl.transforms import MacroStepTransform, PowerLimitTransform
+from tests.engines import COARSE
 from tests.transforms.cases import push_env
 from tests.transforms.mocks import MockArmEnv, ScriptedEnv, actions_for, play
 
@@ -255,7 +256,7 @@ def test_a_penalty_that_is_negative_or_not_finite_is_refused(value):
 
 def test_the_cost_on_the_simulated_arm_is_that_of_its_measured_wrench_and_twist():
     limit = PowerLimitTransform(0.5, penalty=10.0, terminate=False)
-    env = push_env(4, limit, duration=0.2, physics_dt=0.002)
+    env = push_env(4, limit, duration=0.2, engine=COARSE)
     steps = play(env, actions_for(env, 20, scale=10.0))["next"]
     cost = steps["cost"]
     assert 0 < (cost > 0).sum() < cost.numel()
@@ -265,7 +266,7 @@ def test_the_cost_on_the_simulated_arm_is_that_of_its_measured_wrench_and_twist(
 
 
 def test_specs_hold_on_the_simulated_arm_that_ends_above_the_limit():
-    env = push_env(4, PowerLimitTransform(0.5, terminate=True), duration=0.5, physics_dt=0.002)
+    env = push_env(4, PowerLimitTransform(0.5, terminate=True), duration=0.5, engine=COARSE)
     check_env_specs(env)
     steps = play(env, actions_for(env, 20, scale=10.0))["next"]
     assert 0 < steps["terminated"].sum() < steps["terminated"].numel()

@@ -1,6 +1,6 @@
 """Maze sliding: layouts and their geometry, scene, episodes, rewards and environment."""
 
-from ppt_rl.envs.maze.env import PandaMazeEnv
+from ppt_rl.envs.maze.env import MazeEnv
 from ppt_rl.envs.maze.episode import MazeRandomisation
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn, paper_layout
 from ppt_rl.envs.maze.rewards import MazeRewards
@@ -8,11 +8,11 @@ from ppt_rl.envs.maze.sampling import MazeRanges, StraightRanges, random_maze, r
 
 __all__ = [
     "Disc",
+    "MazeEnv",
     "MazeLayout",
     "MazeRandomisation",
     "MazeRanges",
     "MazeRewards",
-    "PandaMazeEnv",
     "Straight",
     "StraightRanges",
     "Turn",

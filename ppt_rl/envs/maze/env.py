@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 from torchrl.data import Composite
 
-from ppt_rl.envs.arm import PandaEnv, Rows
+from ppt_rl.arms import PANDA, Arm
+from ppt_rl.envs.arm import ArmEnv, Rows
 from ppt_rl.envs.maze import rewards as reward
 from ppt_rl.envs.maze.episode import MazeEpisodes, MazePlace, MazeRandomisation
 from ppt_rl.envs.maze.geometry import WALL_HEIGHT, Corridor, build_corridor, check_corridor
@@ -22,7 +23,7 @@ from ppt_rl.envs.models import CYLINDER
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 
-__all__ = ["PandaMazeEnv"]
+__all__ = ["MazeEnv"]
 
 #: The robot is told a heading off by this much at most in training: as far as a turn of the test and more [rad].
 _TRAINING_HEADING = (-0.9, 0.9)
@@ -36,7 +37,7 @@ _STRAIGHT_STREAM, _MAZE_STREAM = 0, 1
 Source = Callable[[np.random.Generator], MazeLayout]
 
 
-class PandaMazeEnv(PandaEnv):
+class MazeEnv(ArmEnv):
     """Slide a cylinder through a corridor to its open end, with no map: only touch tells where the walls are.
 
     Make it by :meth:`straight` (training), :meth:`mazes` (test) or :meth:`of` (layouts of your own). Mazes are written
@@ -44,7 +45,7 @@ class PandaMazeEnv(PandaEnv):
 
     An episode is terminated where the end is reached (``success``), where the tool ``left_corridor`` (its axis beyond a
     wall's face, or its end lifted over the walls), or where the force is above ``max_force`` (``unsafe``). Adds to the
-    observations of :class:`PandaEnv`:
+    observations of :class:`ArmEnv`:
 
     * ``start_heading`` 1 [rad]: of the corridor at its start, as the robot is told, with some error; known in the test;
     * ``corridor_offset`` 1 [m] and ``corridor_heading`` 1 [rad]: where the tool is in the corridor, to the left of its
@@ -60,7 +61,7 @@ class PandaMazeEnv(PandaEnv):
         rewards: weights of the reward groups.
         max_force: largest safe force at the wrist [N].
         duration: episode length [s].
-        **kwargs: as for :class:`PandaEnv`.
+        **kwargs: as for :class:`ArmEnv`.
 
     Raises:
         ValueError: if a number is out of range, or a maze cannot be built.
@@ -69,7 +70,7 @@ class PandaMazeEnv(PandaEnv):
         Paper, section "Maze Sliding".
 
     Examples:
-        >>> env = PandaMazeEnv.straight(2, seed=0)
+        >>> env = MazeEnv.straight(2, seed=0)
         >>> env.reset()["start_heading"].shape
         torch.Size([2, 1])
     """
@@ -97,41 +98,48 @@ class PandaMazeEnv(PandaEnv):
         super().__init__(num_envs, duration=duration, **kwargs)
 
     @classmethod
-    def straight(cls, num_envs: int = 1, *, ranges: StraightRanges | None = None, **kwargs: Any) -> PandaMazeEnv:
+    def straight(
+        cls, num_envs: int = 1, *, ranges: StraightRanges | None = None, arm: Arm = PANDA, **kwargs: Any
+    ) -> MazeEnv:
         """The training set: straight corridors in random places and directions, and a heading told badly.
 
         Args:
             num_envs: number of environments.
             ranges: of the corridors.
+            arm: the arm, in whose reach they lie.
             **kwargs: as for the class.
 
         Returns:
             The environment. It cannot make a turn.
         """
         kwargs.setdefault("randomisation", MazeRandomisation(heading_error=_TRAINING_HEADING))
-        return cls(num_envs, lambda rng: random_straight(rng, ranges), stream=_STRAIGHT_STREAM, **kwargs)
+        return cls(num_envs, lambda rng: random_straight(rng, ranges, arm), stream=_STRAIGHT_STREAM, arm=arm, **kwargs)
 
     @classmethod
-    def mazes(cls, num_envs: int = 1, *, ranges: MazeRanges | None = None, **kwargs: Any) -> PandaMazeEnv:
+    def mazes(cls, num_envs: int = 1, *, ranges: MazeRanges | None = None, arm: Arm = PANDA, **kwargs: Any) -> MazeEnv:
         """The test set: mazes with turns, ramps and discs, of a stream of randomness that training never draws from.
 
         Args:
             num_envs: number of environments.
             ranges: of the mazes.
+            arm: the arm, in whose reach they lie.
             **kwargs: as for the class.
 
         Returns:
             The environment.
         """
-        return cls(num_envs, lambda rng: random_maze(rng, ranges), **kwargs)
+        return cls(num_envs, lambda rng: random_maze(rng, ranges, arm), arm=arm, **kwargs)
 
     @classmethod
-    def of(cls, layouts: Sequence[MazeLayout], num_envs: int | None = None, **kwargs: Any) -> PandaMazeEnv:
+    def of(
+        cls, layouts: Sequence[MazeLayout], num_envs: int | None = None, *, arm: Arm = PANDA, **kwargs: Any
+    ) -> MazeEnv:
         """Mazes written by hand.
 
         Args:
             layouts: taken in turn, from the first again after the last.
             num_envs: number of environments; None takes one for each layout.
+            arm: the arm, in whose reach they must lie.
             **kwargs: as for the class.
 
         Returns:
@@ -144,20 +152,19 @@ class PandaMazeEnv(PandaEnv):
             raise ValueError("layouts are empty; expected at least one MazeLayout.")
         for layout in layouts:
             corridor = build_corridor(layout)
-            check_corridor(corridor, layout)
+            check_corridor(corridor, layout, arm.reach)
             check_pieces(corridor)
             first = layout.segments[0]
             if isinstance(first, Straight) and first.length < _FIRST:
                 raise ValueError(f"the first segment is {first}; expected at least {_FIRST} m, to start in.")
         position = iter(range(2**62))
-        return cls(
-            len(layouts) if num_envs is None else num_envs, lambda _: layouts[next(position) % len(layouts)], **kwargs
-        )
+        count = len(layouts) if num_envs is None else num_envs
+        return cls(count, lambda _: layouts[next(position) % len(layouts)], arm=arm, **kwargs)
 
     # -- episode ------------------------------------------------------------------------------------------------------
 
     def _scene(self) -> Any:
-        return maze_scene(self.tool, physics_dt=self.physics_dt)
+        return maze_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt)
 
     def _set_seed(self, seed: int | None) -> None:
         self._rng = np.random.default_rng(None if seed is None else [seed, self._stream])

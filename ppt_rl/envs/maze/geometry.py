@@ -9,18 +9,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ppt_rl.arms.arm import Limits
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn
 
-__all__ = ["REACH", "WALL_HEIGHT", "Corridor", "Face", "Floor", "build_corridor", "check_corridor"]
+__all__ = ["WALL_HEIGHT", "Corridor", "Face", "Floor", "build_corridor", "check_corridor"]
 
 Array = NDArray[np.float64]
 
 #: Walls stand this high above the highest floor beside them [m].
 WALL_HEIGHT = 0.05
-#: Distance from the base's axis within which a centre line has its corners, reached with the tool upright [m].
-REACH = (0.30, 0.70)
-#: How near a straight between two corners may come [m].
-_NEAREST = 0.24
+#: How near the base's axis a straight between two corners may come, and how near its y axis a corner, as shares of the
+#: arm's shortest reach [-].
+_NEAREST, _IN_FRONT = 0.8, 0.5
 #: Level ends of a straight with a ramp, at least: no floor of a corner may stand out over a ramp downwards [m].
 _LEVEL = 0.035
 #: The steepest ramp [rad].
@@ -213,12 +213,13 @@ def _chamber_floor(centre: Array, heading: float, half_width: float) -> Floor:
     return Floor(centre - way, centre + way, half_width)
 
 
-def check_corridor(corridor: Corridor, layout: MazeLayout) -> None:
+def check_corridor(corridor: Corridor, layout: MazeLayout, reach: Limits) -> None:
     """Refuse a maze that cannot be built or driven through.
 
     Args:
         corridor: of the layout.
         layout: the maze, for its width.
+        reach: distance from the base's axis within which the centre line must have its corners [m].
 
     Raises:
         ValueError: if it leaves the arm's reach, is narrower than asked anywhere, crosses or touches itself, a straight
@@ -226,10 +227,13 @@ def check_corridor(corridor: Corridor, layout: MazeLayout) -> None:
     """
     radius = np.linalg.norm(corridor.centre[:, :2], axis=1)
     between = np.linalg.norm(_samples(corridor.centre[:, :2])[0], axis=1).min()
-    if radius.min() < REACH[0] or radius.max() > REACH[1] or between < _NEAREST or corridor.centre[:, 0].min() < 0.15:
+    inside = reach.low <= radius.min() and radius.max() <= reach.high and between >= _NEAREST * reach.low
+    front = _IN_FRONT * reach.low  # [m]
+    if not inside or corridor.centre[:, 0].min() < front:
         raise ValueError(
             f"the maze lies {min(radius.min(), between):.2f} to {radius.max():.2f} m from the base; expected "
-            f"{REACH[0]} to {REACH[1]} m, in front of it (x above 0.15 m). Move its start, or make it shorter."
+            f"{reach.low} to {reach.high} m, in front of it (x above {front:.2f} m). "
+            "Move its start, or make it shorter."
         )
     if corridor.centre[:, 2].min() < 0.0:
         raise ValueError(f"the floor goes down to {corridor.centre[:, 2].min():.3f} m, into the table; raise height.")

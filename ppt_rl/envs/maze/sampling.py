@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ppt_rl.arms import PANDA, Arm
+from ppt_rl.arms.arm import Limits
 from ppt_rl.envs.maze.geometry import build_corridor, check_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Segment, Straight, Turn
 
@@ -77,12 +79,13 @@ def _require_ranges(ranges: StraightRanges | MazeRanges) -> None:
             raise ValueError(f"{type(ranges).__name__}.{name} is ({low}, {high}); expected low <= high.")
 
 
-def random_straight(rng: np.random.Generator, ranges: StraightRanges | None = None) -> MazeLayout:
+def random_straight(rng: np.random.Generator, ranges: StraightRanges | None = None, arm: Arm = PANDA) -> MazeLayout:
     """A straight corridor in a random place and direction. It cannot turn: it is one straight segment.
 
     Args:
         rng: source of randomness.
         ranges: what to draw from.
+        arm: the arm, in whose reach it must lie.
 
     Returns:
         The layout, which can be built.
@@ -103,17 +106,18 @@ def random_straight(rng: np.random.Generator, ranges: StraightRanges | None = No
             heading=heading,
             height=rng.uniform(*ranges.height),
         )
-        if _can_be_built(layout):
+        if _can_be_built(layout, arm.reach):
             return layout
     raise ValueError(f"no straight corridor within {ranges} fits into the arm's reach; widen the ranges.")
 
 
-def random_maze(rng: np.random.Generator, ranges: MazeRanges | None = None) -> MazeLayout:
+def random_maze(rng: np.random.Generator, ranges: MazeRanges | None = None, arm: Arm = PANDA) -> MazeLayout:
     """A maze with turns, ramps up and down and discs in random order and place.
 
     Args:
         rng: source of randomness.
         ranges: what to draw from.
+        arm: the arm, in whose reach it must lie.
 
     Returns:
         The layout, which can be built.
@@ -124,7 +128,7 @@ def random_maze(rng: np.random.Generator, ranges: MazeRanges | None = None) -> M
     ranges = MazeRanges() if ranges is None else ranges
     for _ in range(_TRIES):
         layout = _candidate(rng, ranges)
-        if layout is not None and _can_be_built(layout):
+        if layout is not None and _can_be_built(layout, arm.reach):
             return layout
     raise ValueError(f"no maze within {ranges} fits into the arm's reach; widen the ranges, or make it shorter.")
 
@@ -169,9 +173,9 @@ def _signed(rng: np.random.Generator, sizes: tuple[float, float]) -> float:
     return float(rng.choice((-1.0, 1.0)) * rng.uniform(*sizes))
 
 
-def _can_be_built(layout: MazeLayout) -> bool:
+def _can_be_built(layout: MazeLayout, reach: Limits) -> bool:
     try:
-        check_corridor(build_corridor(layout), layout)
+        check_corridor(build_corridor(layout), layout, reach)
     except ValueError:
         return False
     return True

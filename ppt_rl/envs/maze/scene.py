@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ppt_rl.arms import Arm
 from ppt_rl.envs.maze.geometry import Array, Corridor, Face, Floor
 from ppt_rl.envs.models.arm import CYLINDER, Tool
 from ppt_rl.envs.models.table import table_scene
@@ -24,19 +25,20 @@ _SOFT = (0.0, 0.95, 0.002)
 _AWAY, _TINY = (0.0, 0.0, -5.0), 1e-3
 
 
-def maze_scene(tool: Tool = CYLINDER, *, physics_dt: float = 0.0005) -> Any:
+def maze_scene(arm: Arm, tool: Tool = CYLINDER, *, physics_dt: float = 0.0005) -> Any:
     """MJCF of the maze scene, its pieces still unused: :func:`write_corridor` places them.
 
     Contacts are declared pair by pair, tool against piece: only these are looked for, and each has its own friction.
 
     Args:
+        arm: the arm.
         tool: a tool without a bar.
         physics_dt: time step of the physics [s].
 
     Returns:
         A ``dm_control.mjcf.RootElement``.
     """
-    root = table_scene(tool, physics_dt=physics_dt)
+    root = table_scene(arm, tool, physics_dt=physics_dt)
     for kind, count, colour in (
         ("wall", MAX_FACES, [0.35, 0.50, 0.62, 0.75]),
         ("floor", MAX_FLOORS, [0.88, 0.86, 0.80, 1.0]),

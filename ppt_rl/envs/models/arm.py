@@ -1,4 +1,4 @@
-"""The Panda arm from its Denavit-Hartenberg table, with primitive shapes for looks, and the tools on its flange."""
+"""MJCF of an arm, with primitive shapes for looks, and the tools on its flange."""
 
 from __future__ import annotations
 
@@ -6,15 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from ppt_rl.arms.panda import DH, FLANGE, INERTIAL, JOINT_LIMITS, TORQUE_LIMITS
+from ppt_rl.arms import Arm
 from ppt_rl.envs.mujoco_imports import mjcf
 
-__all__ = ["CYLINDER", "PADDLE", "Tool", "attach_tool", "panda_model", "remove_visual_geoms"]
+__all__ = ["CYLINDER", "PADDLE", "Tool", "arm_model", "attach_tool", "remove_visual_geoms"]
 
-#: Reflected rotor inertia of a joint [kg m^2]: the order of the Panda's drives; it keeps the wrist calm at 100 Hz.
-ARMATURE = 0.1
-_WHITE = (0.93, 0.93, 0.92, 1.0)
-_GREY = (0.32, 0.34, 0.37, 1.0)
 _TOOL = (0.16, 0.42, 0.74, 1.0)
 #: Density of printed PLA [kg/m^3].
 _PLA = 1240.0
@@ -45,83 +41,54 @@ PADDLE = Tool(length=0.16, stem_radius=0.006, bar=(0.01, 0.12, 0.01))
 #: The cylinder of the maze task: 12 cm long, 2.5 cm thick (paper, fig. 5).
 CYLINDER = Tool(length=0.12, stem_radius=0.0125)
 
-#: Shells of the links: (body, shape, colour, radius, from, to), all in link frames [m]. Only for looks.
-_SHELLS: tuple[tuple[int, str, tuple[float, ...], float, tuple[float, ...], tuple[float, ...]], ...] = (
-    (0, "cylinder", _WHITE, 0.078, (0.0, 0.0, 0.0), (0.0, 0.0, 0.05)),
-    (0, "capsule", _WHITE, 0.062, (-0.06, 0.0, 0.035), (0.0, 0.0, 0.05)),
-    (0, "cylinder", _WHITE, 0.060, (0.0, 0.0, 0.05), (0.0, 0.0, 0.14)),
-    (1, "cylinder", _GREY, 0.0585, (0.0, 0.0, -0.193), (0.0, 0.0, -0.185)),
-    (1, "cylinder", _WHITE, 0.060, (0.0, 0.0, -0.185), (0.0, 0.0, -0.06)),
-    (1, "capsule", _WHITE, 0.060, (0.0, 0.0, -0.07), (0.0, 0.0, -0.01)),
-    (1, "cylinder", _WHITE, 0.057, (0.0, -0.075, 0.0), (0.0, 0.02, 0.0)),
-    (2, "cylinder", _GREY, 0.054, (0.0, 0.0, 0.075), (0.0, 0.0, 0.083)),
-    (2, "cylinder", _WHITE, 0.057, (0.0, 0.0, -0.02), (0.0, 0.0, 0.075)),
-    (2, "capsule", _WHITE, 0.058, (0.0, -0.03, 0.0), (0.0, -0.14, 0.0)),
-    (2, "cylinder", _WHITE, 0.056, (0.0, -0.12, 0.0), (0.0, -0.19, 0.0)),
-    (3, "cylinder", _GREY, 0.0535, (0.0, 0.0, -0.126), (0.0, 0.0, -0.119)),
-    (3, "cylinder", _WHITE, 0.055, (0.0, 0.0, -0.119), (0.0, 0.0, -0.06)),
-    (3, "capsule", _WHITE, 0.055, (0.0, 0.0, -0.065), (0.0825, 0.0, 0.0)),
-    (3, "cylinder", _WHITE, 0.050, (0.0825, -0.065, 0.0), (0.0825, 0.02, 0.0)),
-    (4, "cylinder", _GREY, 0.047, (0.0, 0.0, 0.065), (0.0, 0.0, 0.073)),
-    (4, "cylinder", _WHITE, 0.050, (0.0, 0.0, -0.02), (0.0, 0.0, 0.065)),
-    (4, "capsule", _WHITE, 0.053, (0.0, 0.0, 0.0), (-0.0825, 0.075, 0.0)),
-    (4, "cylinder", _WHITE, 0.052, (-0.0825, 0.07, 0.0), (-0.0825, 0.115, 0.0)),
-    (5, "cylinder", _GREY, 0.0505, (0.0, 0.0, -0.269), (0.0, 0.0, -0.262)),
-    (5, "cylinder", _WHITE, 0.052, (0.0, 0.0, -0.262), (0.0, 0.0, -0.19)),
-    (5, "capsule", _WHITE, 0.046, (0.0, 0.02, -0.195), (0.0, 0.062, -0.09)),
-    (5, "capsule", _WHITE, 0.042, (0.0, 0.062, -0.09), (0.0, 0.062, -0.005)),
-    (5, "cylinder", _WHITE, 0.047, (0.0, 0.085, 0.0), (0.0, 0.015, 0.0)),
-    (6, "cylinder", _GREY, 0.045, (0.0, 0.0, -0.020), (0.0, 0.0, -0.013)),
-    (6, "cylinder", _WHITE, 0.048, (0.0, 0.0, -0.013), (0.0, 0.0, 0.050)),
-    (6, "capsule", _WHITE, 0.044, (0.0, 0.0, 0.015), (0.088, 0.0, 0.01)),
-    (6, "cylinder", _WHITE, 0.046, (0.088, -0.045, 0.0), (0.088, 0.04, 0.0)),
-    (7, "cylinder", _GREY, 0.043, (0.0, 0.0, 0.046), (0.0, 0.0, 0.052)),
-    (7, "cylinder", _WHITE, 0.044, (0.0, 0.0, 0.052), (0.0, 0.0, 0.085)),
-    (7, "cylinder", _GREY, 0.032, (0.0, 0.0, 0.085), (0.0, 0.0, 0.107)),
-)
 
-
-def _add_shells(body: Any, index: int) -> None:
-    for link, shape, colour, radius, start, end in _SHELLS:
-        if link == index:
+def _add_shells(body: Any, arm: Arm, link: int) -> None:
+    for shell in arm.shells:
+        if shell.link == link:
             body.add(
-                "geom", type=shape, size=[radius], fromto=[*start, *end], rgba=colour,
+                "geom", type=shell.shape, size=[shell.radius], fromto=[*shell.start, *shell.end], rgba=shell.colour,
                 contype=0, conaffinity=0, group=2, mass=0,
             )  # fmt: skip
 
 
-def panda_model() -> Any:
-    """MJCF of the arm: seven hinges, motors, gravity compensation, joint sensors. It carries no collision geometry.
+def arm_model(arm: Arm) -> Any:
+    """MJCF of an arm: hinges, motors, gravity compensation, joint sensors. It carries no collision geometry.
+
+    Args:
+        arm: the arm.
 
     Returns:
-        A ``dm_control.mjcf.RootElement``; the flange is the body ``link7``.
+        A ``dm_control.mjcf.RootElement`` with the bodies ``link0`` (the base) to ``link{n}`` (which carries the
+        flange), the joints ``joint{i}``, the motors ``motor{i}`` and the sensors ``joint_position{i}`` and
+        ``joint_velocity{i}``, counted from 1.
     """
-    root = mjcf.RootElement(model="panda")
+    root = mjcf.RootElement(model=arm.name)
     root.compiler.angle = "radian"
     parent = root.worldbody.add("body", name="link0", gravcomp=1)
-    _add_shells(parent, 0)
-    for i, (a, d, alpha) in enumerate(DH, start=1):
+    _add_shells(parent, arm, 0)
+    for i, (offset, link) in enumerate(zip(arm.chain.offsets, arm.links, strict=True), start=1):
         parent = parent.add(
-            "body",
-            name=f"link{i}",
-            pos=[a, -math.sin(alpha) * d, math.cos(alpha) * d],
-            quat=[math.cos(alpha / 2), math.sin(alpha / 2), 0, 0],
-            gravcomp=1,
+            "body", name=f"link{i}", pos=offset.position, quat=_orientation(offset.twist, offset.turn), gravcomp=1
         )
-        link = INERTIAL[i - 1]
         parent.add("inertial", pos=link.com, mass=link.mass, fullinertia=link.inertia)
         joint = parent.add(
-            "joint", name=f"joint{i}", type="hinge", axis=[0, 0, 1], range=JOINT_LIMITS[i - 1], limited=True,
-            armature=ARMATURE,
+            "joint", name=f"joint{i}", type="hinge", axis=[0, 0, 1], range=arm.joints.position_limits[i - 1],
+            limited=True, armature=arm.joints.armature[i - 1],
         )  # fmt: skip
-        _add_shells(parent, i)
-        limit = TORQUE_LIMITS[i - 1]
+        _add_shells(parent, arm, i)
+        limit = arm.joints.torque_limits[i - 1]
         root.actuator.add("motor", name=f"motor{i}", joint=joint, ctrllimited=True, ctrlrange=[-limit, limit])
     # All positions before all velocities: each quantity is one contiguous slice of the sensor vector.
     for kind, quantity in (("jointpos", "joint_position"), ("jointvel", "joint_velocity")):
-        for i in range(1, len(DH) + 1):
+        for i in range(1, arm.num_joints + 1):
             root.sensor.add(kind, name=f"{quantity}{i}", joint=f"joint{i}")
     return root
+
+
+def _orientation(twist: float, turn: float) -> list[float]:
+    """Quaternion ``(w, x, y, z)`` of ``Rx(twist) Rz(turn)``."""
+    cx, sx, cz, sz = math.cos(twist / 2), math.sin(twist / 2), math.cos(turn / 2), math.sin(turn / 2)
+    return [cx * cz, sx * cz, -sx * sz, cx * sz]
 
 
 def remove_visual_geoms(root: Any) -> None:
@@ -135,23 +102,23 @@ def remove_visual_geoms(root: Any) -> None:
             geom.remove()
 
 
-def attach_tool(root: Any, tool: Tool) -> Any:
-    """Put ``tool`` on the flange of :func:`panda_model`, with its frame and sensors.
+def attach_tool(root: Any, arm: Arm, tool: Tool) -> Any:
+    """Put ``tool`` on the flange of an arm from :func:`arm_model`, with its frame and sensors.
 
     The site ``end_effector`` is the end-effector point, z along the flange axis. Pose and twist are in world axes; the
     force and torque sensors give what the arm applies to the tool, in the site's axes (the environment turns them to
     world axes and takes the tool's weight off).
 
     Args:
-        root: the arm.
+        root: the arm's model, changed in place.
+        arm: the arm.
         tool: the tool.
 
     Returns:
         The tool's body element.
     """
-    length, turn = FLANGE
-    body = root.find("body", "link7").add(
-        "body", name="tool", pos=[0, 0, length], quat=[math.cos(turn / 2), 0, 0, math.sin(turn / 2)], gravcomp=1
+    body = root.find("body", f"link{arm.num_joints}").add(
+        "body", name="tool", pos=[0, 0, arm.chain.flange], quat=_orientation(0.0, arm.tool_turn), gravcomp=1
     )
     common: dict[str, Any] = {"rgba": _TOOL, "density": _PLA, "contype": 1, "conaffinity": 0, "group": 1}
     stem_end = tool.length - (0.0 if tool.bar is None else 0.5 * tool.bar[2])

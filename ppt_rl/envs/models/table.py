@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ppt_rl.envs.models.arm import PADDLE, Tool, attach_tool, panda_model
+from ppt_rl.arms import Arm
+from ppt_rl.envs.models.arm import PADDLE, Tool, arm_model, attach_tool
 
 __all__ = ["table_scene"]
 
@@ -49,17 +50,18 @@ def _add_table(world: Any) -> None:
             )  # fmt: skip
 
 
-def table_scene(tool: Tool = PADDLE, *, physics_dt: float = 0.0005) -> Any:
-    """MJCF of the arm with a tool over a table, and nothing else to touch. The table top is z = 0.
+def table_scene(arm: Arm, tool: Tool = PADDLE, *, physics_dt: float = 0.0005) -> Any:
+    """MJCF of an arm with a tool over a table, and nothing else to touch. The table top is z = 0.
 
     Args:
+        arm: the arm; its base stands on the table, at the origin.
         tool: the tool on the flange.
         physics_dt: time step of the physics [s].
 
     Returns:
         A ``dm_control.mjcf.RootElement``.
     """
-    root = panda_model()
+    root = arm_model(arm)
     root.option.timestep = physics_dt
     # No joint damping, so nothing for an implicit integrator to do: Euler is the faster one.
     root.option.integrator = "Euler"
@@ -69,7 +71,7 @@ def table_scene(tool: Tool = PADDLE, *, physics_dt: float = 0.0005) -> Any:
     _add_looks(root)
     world = root.worldbody
     _add_table(world)
-    attach_tool(root, tool)
+    attach_tool(root, arm, tool)
     for name, eye, target in _CAMERAS:
         world.add("camera", name=name, pos=eye, xyaxes=_look_at(eye, target))
     world.add("camera", name="top", pos=[0.55, 0.0, 1.0], xyaxes=[0, -1, 0, 1, 0, 0], fovy=40)

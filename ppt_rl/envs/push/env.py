@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torchrl.data import Composite
 
-from ppt_rl.envs.arm import PandaEnv, Rows
+from ppt_rl.envs.arm import ArmEnv, Rows
 from ppt_rl.envs.push import rewards as reward
 from ppt_rl.envs.push.episode import BOXES, PushDistances, PushEpisodes, PushRandomisation, draw_episodes
 from ppt_rl.envs.push.rewards import PushRewards
@@ -19,7 +19,7 @@ from ppt_rl.envs.readings import sensor_span
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 
-__all__ = ["PandaPushEnv"]
+__all__ = ["PushEnv"]
 
 #: A box counts as flat when its vertical axis is within 10 degrees and its centre within 5 mm of lying [-], [m].
 _FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
@@ -28,11 +28,11 @@ _FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
 _APPROACH_YAW = 0.7
 
 
-class PandaPushEnv(PandaEnv):
+class PushEnv(ArmEnv):
     """Push a box to a goal within the horizon and leave it there, flat.
 
     Success is judged at the end: the box's centre within ``success_radius`` of the goal, and flat. Adds to the
-    observations of :class:`PandaEnv`:
+    observations of :class:`ArmEnv`:
 
     * ``box_pose`` 7 [m, -]: privileged, for critics; a policy for deployment leaves it out;
     * ``box_start`` 2 and ``goal`` 2 [m], ``box_size`` 1 [m]: what is known at test time, fixed over an episode;
@@ -48,7 +48,7 @@ class PandaPushEnv(PandaEnv):
         randomisation: ranges of what is drawn.
         rewards: weights of the reward groups.
         success_radius: [m].
-        **kwargs: as for :class:`PandaEnv`.
+        **kwargs: as for :class:`ArmEnv`.
 
     Raises:
         ValueError: if a box size is unknown or a number is out of range.
@@ -57,7 +57,7 @@ class PandaPushEnv(PandaEnv):
         Paper, section "Box Pushing".
 
     Examples:
-        >>> env = PandaPushEnv(num_envs=2, box_sizes=(0.06,), seed=0)
+        >>> env = PushEnv(num_envs=2, box_sizes=(0.06,), seed=0)
         >>> env.reset()["goal"].shape
         torch.Size([2, 2])
     """
@@ -88,7 +88,7 @@ class PandaPushEnv(PandaEnv):
     # -- episode ------------------------------------------------------------------------------------------------------
 
     def _scene(self) -> Any:
-        return push_scene(self.tool, physics_dt=self.physics_dt)
+        return push_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt)
 
     def _prepare(self, model: Any) -> None:
         self._box_slice = sensor_span(model, "box_position", "box_orientation")

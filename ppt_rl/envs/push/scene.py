@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ppt_rl.arms import Arm
 from ppt_rl.envs.models import PADDLE, Tool, table_scene
 
 __all__ = ["PUSH_BOX", "push_scene"]
@@ -38,10 +39,13 @@ def _add_box(root: Any, half_size: float, mass: float) -> None:
     root.sensor.add("framequat", name="box_orientation", objtype="body", objname=PUSH_BOX)
 
 
-def push_scene(tool: Tool = PADDLE, *, half_size: float = 0.03, mass: float = 0.05, physics_dt: float = 0.0005) -> Any:
+def push_scene(
+    arm: Arm, tool: Tool = PADDLE, *, half_size: float = 0.03, mass: float = 0.05, physics_dt: float = 0.0005
+) -> Any:
     """MJCF of the pushing scene: :func:`table_scene` with a box and a goal mark.
 
     Args:
+        arm: the arm.
         tool: the pushing tool.
         half_size: half edge of the box [m].
         mass: of the box [kg].
@@ -50,7 +54,7 @@ def push_scene(tool: Tool = PADDLE, *, half_size: float = 0.03, mass: float = 0.
     Returns:
         A ``dm_control.mjcf.RootElement``.
     """
-    root = table_scene(tool, physics_dt=physics_dt)
+    root = table_scene(arm, tool, physics_dt=physics_dt)
     _add_goal(root.worldbody)
     _add_box(root, half_size, mass)
     return root

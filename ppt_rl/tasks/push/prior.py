@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ppt_rl.envs.push import PandaPushEnv
+from ppt_rl.envs.physics import EngineConfig
+from ppt_rl.envs.push import PushEnv
 from ppt_rl.modules.promp import ProMP
 
 __all__ = ["PUSH_AXES", "fit_push_prior", "minimum_jerk", "push_demonstrations"]
@@ -56,7 +57,8 @@ def fit_push_prior(promp: ProMP, *, num_demonstrations: int = 512, seed: int = 0
     Returns:
         The primitive.
     """
-    env = PandaPushEnv(num_envs=num_demonstrations, num_threads=1, duration=promp.duration, seed=seed)
+    engine = EngineConfig(num_threads=1)
+    env = PushEnv(num_envs=num_demonstrations, duration=promp.duration, seed=seed, engine=engine)
     episode = env.reset()
     promp.fit(push_demonstrations(episode["via_phase"].double(), episode["via_position"].double()))
     env.close()

@@ -16,11 +16,12 @@ from ppt_rl.envs import MazeLayout, MazeRandomisation, MazeRanges, MazeRewards, 
 from ppt_rl.envs.maze import env as maze_env
 from ppt_rl.envs.maze.geometry import build_corridor
 from ppt_rl.envs.maze.layout import Disc, Straight, Turn, paper_layout
+from tests.engines import COARSE
 from tests.envs.maze.mazes import LEVEL, SHORT, drag, layouts_of, put_tool, unit
 from tests.envs.scenes import act, leaves, rollout, torques
 
 F64 = torch.float64
-FAST: dict[str, Any] = {"physics_dt": 0.002, "num_threads": 1, "seed": 0}
+FAST: dict[str, Any] = {"engine": COARSE, "seed": 0}
 Make = Callable[..., PandaMazeEnv]
 MAKES: list[Make] = [PandaMazeEnv.straight, PandaMazeEnv.mazes]
 
@@ -72,7 +73,7 @@ def test_a_seed_repeats_mazes_and_episodes_and_another_draws_anew(make: Make) ->
 def test_training_and_test_draw_from_streams_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     numbers: list[float] = []
 
-    def record(rng: np.random.Generator, ranges: Any) -> MazeLayout:
+    def record(rng: np.random.Generator, *_: Any) -> MazeLayout:
         numbers.append(rng.uniform())
         return LEVEL
 

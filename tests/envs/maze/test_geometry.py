@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ppt_rl.envs.maze.geometry import REACH, WALL_HEIGHT, build_corridor, check_corridor
+from ppt_rl.arms import PANDA
+from ppt_rl.envs.maze.geometry import WALL_HEIGHT, build_corridor, check_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn, paper_layout
 from tests.envs.maze.mazes import (
     SHORT,
@@ -115,7 +116,7 @@ def test_a_wide_corner_does_not_stand_out_over_a_ramp_downwards() -> None:
     segments = (Straight(0.15), Turn(math.radians(45)), Straight(0.25, rise=-0.04))
     layout = MazeLayout(segments, width=0.10, height=0.05, start=(0.50, -0.20))
     ((_, corridor),) = built(layout)
-    check_corridor(corridor, layout)
+    check_corridor(corridor, layout, PANDA.reach)
     points, heading, _ = along(corridor, 60)
     points, heading = points[points[:, 2] < 0.05], heading[points[:, 2] < 0.05]
     for aside in (0.0, 0.01, 0.02, 0.03, 0.04):
@@ -139,7 +140,7 @@ def test_every_corner_of_a_maze_is_within_reach_and_no_place_between_is_much_nea
 ) -> None:
     for _, corridor in corridors:
         corners = np.linalg.norm(corridor.centre[:, :2], axis=-1)
-        assert REACH[0] <= corners.min() <= corners.max() <= REACH[1]
+        assert PANDA.reach.low <= corners.min() <= corners.max() <= PANDA.reach.high
         assert np.linalg.norm(along(corridor, 20)[0][:, :2], axis=-1).min() >= 0.24
 
 
@@ -176,7 +177,7 @@ LOOP = (Straight(0.15), *(Turn(DEGREES(75)), Straight(0.15)) * 5)
 )  # fmt: skip
 def test_what_cannot_be_driven_through_is_refused(layout: MazeLayout, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        check_corridor(build_corridor(layout), layout)
+        check_corridor(build_corridor(layout), layout, PANDA.reach)
 
 
 def test_a_disc_no_wider_than_the_corridor_is_refused() -> None:

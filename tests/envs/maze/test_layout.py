@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs.maze.geometry import build_corridor, check_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Segment, Straight, Turn, paper_layout
 
@@ -162,4 +163,4 @@ def test_the_maze_of_the_paper_has_every_element_the_paper_names() -> None:
 def test_the_maze_of_the_paper_can_be_built_at_either_end_of_the_widths() -> None:
     for width in (0.05, 0.06):
         layout = replace(paper_layout(), width=width)
-        check_corridor(build_corridor(layout), layout)
+        check_corridor(build_corridor(layout), layout, PANDA.reach)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs.maze import sampling
 from ppt_rl.envs.maze.geometry import check_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn
@@ -22,7 +23,7 @@ def test_a_seed_repeats_what_is_drawn_and_another_seed_draws_anew(draw: Any) -> 
 
 def test_what_is_drawn_can_be_built() -> None:
     for layout, corridor in [*random_mazes(), *random_straights()]:
-        check_corridor(corridor, layout)
+        check_corridor(corridor, layout, PANDA.reach)
 
 
 def test_a_random_straight_is_one_level_straight_within_its_ranges_and_fills_them() -> None:

@@ -11,11 +11,13 @@ import torch
 from tensordict import TensorDict
 from torch.testing import assert_close
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import MazeRandomisation, MazeRewards, PandaMazeEnv
 from ppt_rl.envs.maze.geometry import WALL_HEIGHT, build_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn, paper_layout
 from ppt_rl.envs.maze.scene import maze_scene, write_corridor
 from ppt_rl.envs.mujoco_imports import mjcf
+from tests.engines import COARSE
 from tests.envs.maze.mazes import (
     LEVEL,
     SHORT,
@@ -33,7 +35,7 @@ from tests.envs.maze.mazes import (
 )
 
 LAYOUTS = [paper_layout(), SHORT, LEVEL, *(random_mazes()[i][0] for i in range(3)), random_straights()[0][0]]
-FAST: dict[str, Any] = {"physics_dt": 0.002, "num_threads": 1, "seed": 0}
+FAST: dict[str, Any] = {"engine": COARSE, "seed": 0}
 
 
 def pieces(model: mujoco.MjModel) -> list[int]:
@@ -109,8 +111,8 @@ def test_all_mazes_are_one_compiled_model_with_numbers_of_their_own(env: PandaMa
 
 
 def test_pieces_of_the_maze_before_are_put_far_away() -> None:
-    model = mjcf.Physics.from_mjcf_model(maze_scene()).model.ptr
-    fresh = mjcf.Physics.from_mjcf_model(maze_scene()).model.ptr
+    model = mjcf.Physics.from_mjcf_model(maze_scene(PANDA)).model.ptr
+    fresh = mjcf.Physics.from_mjcf_model(maze_scene(PANDA)).model.ptr
     write_corridor(model, build_corridor(paper_layout()), 0.3)
     for target in (model, fresh):
         write_corridor(target, build_corridor(LEVEL), 0.2)
@@ -194,7 +196,7 @@ def test_a_tool_that_slides_over_a_level_floor_feels_a_steady_force() -> None:
 def driven() -> tuple[PandaMazeEnv, TensorDict]:
     """The maze of the paper, driven through along its centre line."""
     rewards = MazeRewards(progress=2.0, success=5.0)
-    env = PandaMazeEnv.of([paper_layout()], rewards=rewards, physics_dt=0.002, num_threads=1, seed=0)
+    env = PandaMazeEnv.of([paper_layout()], rewards=rewards, seed=0, engine=COARSE)
     return env, drag(env, 0.10, [0.007], 14.0)[:, 0]
 
 

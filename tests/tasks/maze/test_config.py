@@ -27,7 +27,7 @@ def test_training_and_test_are_built_from_the_same_options_but_for_mazes_and_tim
     assert training.duration == CONFIG.training_duration
     assert test.duration == CONFIG.duration
     assert [layout.is_straight for layout in (*training.layouts, *test.layouts)] == [True, True, False, False]
-    assert training.physics_dt == test.physics_dt == CONFIG.physics_dt
+    assert training.engine_config.physics_dt == test.engine_config.physics_dt == CONFIG.physics_dt
 
 
 def test_the_straight_line_is_within_the_span_of_the_basis_without_ripple():

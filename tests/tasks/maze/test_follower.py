@@ -13,6 +13,7 @@ from ppt_rl.envs.maze.layout import MazeLayout, Straight
 from ppt_rl.functional.heading import from_heading
 from ppt_rl.tasks.maze.config import maze_space
 from ppt_rl.tasks.maze.follower import WallFollower
+from tests.engines import COARSE
 from tests.sampling import normal, random_poses
 from tests.transforms.cases import sliding_env
 
@@ -54,7 +55,7 @@ def test_it_reaches_the_end_of_straight_corridors() -> None:
         MazeLayout((Straight(0.13),), start=start, heading=heading)
         for start, heading in (((0.45, -0.1), math.pi / 2), ((0.55, 0.0), -2.4))
     ]
-    base = PandaMazeEnv.of(layouts, physics_dt=0.002, num_threads=1, seed=0, duration=6.0)
+    base = PandaMazeEnv.of(layouts, seed=0, duration=6.0, engine=COARSE)
     steps = sliding_env(base).rollout(330, WallFollower(maze_space()), break_when_all_done=True)["next"]
     assert steps["success"].any(1).all()
     assert not steps["left_corridor"].any()

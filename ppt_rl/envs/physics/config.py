@@ -1,0 +1,33 @@
+"""Options of the physics behind an environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ppt_rl.functional.checks import require_positive
+
+__all__ = ["EngineConfig"]
+
+
+@dataclass(frozen=True)
+class EngineConfig:
+    """How an environment steps its physics.
+
+    Attributes:
+        physics_dt: time step of the physics [s]; it must divide the environment's ``control_dt``.
+        num_threads: physics threads; None takes one for each CPU. The number never changes a result.
+        audit: whether power and work are measured at the rate of the physics (:mod:`ppt_rl.envs.audit`).
+
+    Raises:
+        ValueError: if a number is out of range.
+    """
+
+    physics_dt: float = 0.0005
+    num_threads: int | None = None
+    audit: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse a time step or a number of threads that cannot be."""
+        require_positive("physics_dt", self.physics_dt, "s")
+        if self.num_threads is not None and self.num_threads < 1:
+            raise ValueError(f"num_threads is {self.num_threads}; expected at least 1, or None for one for each CPU.")
