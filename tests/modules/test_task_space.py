@@ -71,7 +71,7 @@ def test_pose_keeps_the_precision_of_its_input():
 
 @pytest.mark.parametrize("axes", [(), ("x", "x"), ("x", "roll"), ("X",)])
 def test_unknown_duplicate_or_missing_axes_are_refused(axes):
-    with pytest.raises(ValueError, match="expected distinct names out of"):
+    with pytest.raises(ValueError, match="expected one or more distinct names from"):
         TaskSpace(axes, TOOL_DOWN)
 
 
