@@ -72,12 +72,12 @@ def of_training(variant: str, run: Config) -> dict[str, str]:
             raise _Enough
         write(logs, scalars, step)
 
-    RunLogs.write = counted  # type: ignore[method-assign, assignment]
+    RunLogs.write = counted  # type: ignore[method-assign,assignment]
     try:
         with tempfile.TemporaryDirectory() as folder, suppress(_Enough):
             recipe.train(replace(recipe.config(), run_dir=Path(folder) / variant))
     finally:
-        RunLogs.write = write  # type: ignore[method-assign, assignment]
+        RunLogs.write = write  # type: ignore[method-assign]
     names = sorted({name for line in lines for name in line})
     return {name: _digest(json.dumps([line.get(name) for line in lines]).encode()) for name in names}
 
