@@ -51,14 +51,14 @@ def make_modules(config: Config) -> dict[str, ProMP]:
 
 def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain in the maze: what stands above the macro step runs at control rate."""
-    kinematics, dt = Kinematics(base.arm, base.tool_length), config.control_dt
+    kinematics = Kinematics(base.arm, base.tool_length)
     return [
-        JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
-        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
+        JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
+        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(maze_metrics(config)),
-        HeadingFrameTransform(dt=dt),
-        ContactViaPointTransform(config.promp_duration, dt=dt),
+        HeadingFrameTransform(),
+        ContactViaPointTransform(config.promp_duration),
         MacroStepTransform(
             config.replan_steps,
             discount=config.ppo.gamma,
@@ -71,7 +71,6 @@ def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
             max_lead=(config.max_lead, 0.001, 0.0),
             max_slip=config.max_slip,
             replan_steps=config.replan_steps,
-            dt=dt,
         ),
         ViaPointTransform(promp, frame=("pose", "heading")),
     ]

@@ -46,10 +46,9 @@ def make_modules(config: Config) -> dict[str, ProMP]:
 
 def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain: what stands above the macro step runs at control rate."""
-    dt = config.control_dt
     return [
-        JointTorqueTransform(Kinematics(base.arm, base.tool_length), dt=dt),
-        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
+        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
         MacroStepTransform(config.chunk, discount=config.ppo.gamma),
@@ -58,7 +57,6 @@ def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
             TaskSpace(PUSH_AXES, base.start_pose),
             residual_scale=config.residual_scale,
             replan_steps=config.chunk,
-            dt=dt,
         ),
         ViaPointTransform(promp),
     ]

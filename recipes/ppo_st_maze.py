@@ -40,15 +40,15 @@ class Config(StepWiseMazeConfig):
 
 def make_chain(config: Config, base: MazeEnv) -> list[Transform]:
     """ST's chain in the maze: everything runs at control rate."""
-    kinematics, dt = Kinematics(base.arm, base.tool_length), config.control_dt
+    kinematics = Kinematics(base.arm, base.tool_length)
     return [
-        JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
-        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
+        JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
+        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(maze_metrics(config)),
-        HeadingFrameTransform(dt=dt),
+        HeadingFrameTransform(),
         CartesianVelocityTransform(
-            maze_space(), max_velocity=config.velocity, max_lead=config.lead, dt=dt, heading_key="heading"
+            maze_space(), max_velocity=config.velocity, max_lead=config.lead, heading_key="heading"
         ),
     ]
 

@@ -39,14 +39,13 @@ class Config(StepWiseConfig):
 
 def make_chain(config: Config, base: PushEnv) -> list[Transform]:
     """ST's chain: everything runs at control rate."""
-    dt = config.control_dt
     return [
-        JointTorqueTransform(Kinematics(base.arm, base.tool_length), dt=dt),
-        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
+        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
         CartesianVelocityTransform(
-            TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead, dt=dt
+            TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead
         ),
         StepCounter(),
         UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),

@@ -6,9 +6,11 @@ import importlib
 import pkgutil
 
 from ppt_rl.arms.arm import Arm
+from ppt_rl.arms.fr3 import FR3
 from ppt_rl.arms.panda import PANDA
+from ppt_rl.arms.ur5e import UR5E
 
-__all__ = ["PANDA", "Arm", "find_arm"]
+__all__ = ["FR3", "PANDA", "UR5E", "Arm", "find_arm"]
 
 
 def find_arm(name: str) -> Arm:

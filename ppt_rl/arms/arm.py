@@ -126,6 +126,28 @@ class Inertial(NamedTuple):
     com: Vector3
     inertia: tuple[float, float, float, float, float, float]
 
+    def in_joint_frame(self, row: DHRow) -> Inertial:
+        """The same parameters in the frame of the link's joint, where they are given in that of a standard table.
+
+        Args:
+            row: the link's row of the standard table: it leads from the joint's frame to the table's.
+
+        Returns:
+            The parameters, with ``com = Tz(d) Tx(a) Rx(alpha) com``.
+        """
+        c, s = math.cos(row.alpha), math.sin(row.alpha)
+        x, y, z = self.com
+        xx, yy, zz, xy, xz, yz = self.inertia
+        turned = (
+            xx,
+            c * c * yy - 2 * c * s * yz + s * s * zz,
+            s * s * yy + 2 * c * s * yz + c * c * zz,
+            c * xy - s * xz,
+            s * xy + c * xz,
+            c * s * (yy - zz) + (c * c - s * s) * yz,
+        )
+        return Inertial(self.mass, (x + row.a, c * y - s * z, s * y + c * z + row.d), turned)
+
 
 @dataclass(frozen=True)
 class Joints:

@@ -86,4 +86,4 @@ def episode_metrics(config: TaskConfig) -> MetricsConfig:
     Returns:
         The constants.
     """
-    return MetricsConfig(dt=config.control_dt, p_max=config.p_max)
+    return MetricsConfig(p_max=config.p_max)

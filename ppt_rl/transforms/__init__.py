@@ -1,4 +1,8 @@
-"""The stages of the method as TorchRL transforms."""
+"""The stages of the method as TorchRL transforms.
+
+Those that work with time take the control step from the attribute ``control_dt`` [s] of the environment. Every
+environment of this library has it; where another has not, pass ``dt=``.
+"""
 
 from ppt_rl.transforms.cartesian_velocity import CartesianVelocityTransform
 from ppt_rl.transforms.contact_via_point import ContactViaPointTransform

@@ -13,11 +13,12 @@ from torchrl.data import Binary, TensorSpec, Unbounded
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.contact import WallContact, is_touching, wall_contact
 from ppt_rl.transforms.base import StatefulTransform
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["ContactViaPointTransform"]
 
 
-class ContactViaPointTransform(StatefulTransform):
+class ContactViaPointTransform(TimedTransform, StatefulTransform):
     r"""Turns contact with a wall into via-points along it, in a buffer of fixed size.
 
     While a wall is felt (:func:`~ppt_rl.functional.contact.wall_contact`), every ``spacing`` a via-point is set on the
@@ -52,7 +53,7 @@ class ContactViaPointTransform(StatefulTransform):
         off: and ends below this [N].
         friction: estimate of walls and floor on the tool [-].
         slow: speed of a tool that is held up [m/s].
-        dt: control step [s].
+        dt: control step [s]; None takes it from the environment, and needs one.
         pose_key: end-effector pose.
         twist_key: measured twist.
         wrench_key: wrench on the world, smooth.
@@ -82,7 +83,7 @@ class ContactViaPointTransform(StatefulTransform):
         off: float = 0.5,
         friction: float = 0.25,
         slow: float = 0.01,
-        dt: float = 0.01,
+        dt: float | None = None,
         pose_key: NestedKey = "pose",
         twist_key: NestedKey = "twist",
         wrench_key: NestedKey = "smooth_wrench",
@@ -107,7 +108,7 @@ class ContactViaPointTransform(StatefulTransform):
         self.turn, self.pause = float(turn), require_positive("pause", pause, "s")
         self.friction = require_positive("friction", friction)
         self.slow = require_positive("slow", slow, "m/s")
-        self.dt = require_positive("dt", dt, "s")
+        self.dt = dt
         if len(std) != 3:
             raise ValueError(f"std is {std}; expected three numbers: along the wall, across it, in height [m].")
         self.register_buffer("variance", torch.tensor([require_positive("std", value, "m") ** 2 for value in std]))
@@ -131,11 +132,12 @@ class ContactViaPointTransform(StatefulTransform):
         contact = is_touching(old["contact"], size, on=self.on, off=self.off)
         same = (wall.tangent * old["via_tangent"]).sum(-1, keepdim=True) >= math.cos(self.turn)
         new = contact & ~same
-        wait, pause = ((old[key] - self.dt).clamp_min(0.0) for key in ("via_wait", "via_pause"))
-        told = new & (pause < 0.5 * self.dt)
-        phase = (old["via_phase"] - self.dt / self.duration).clamp_min(0.0)
-        mask = old["via_mask"] & (phase > 0.5 * self.dt / self.duration) & ~new  # due, but for the rounding of a sum
-        sets = new | contact & (wait < 0.5 * self.dt)  # (*B, 1)
+        dt = self.dt
+        wait, pause = ((old[key] - dt).clamp_min(0.0) for key in ("via_wait", "via_pause"))
+        told = new & (pause < 0.5 * dt)
+        phase = (old["via_phase"] - dt / self.duration).clamp_min(0.0)
+        mask = old["via_mask"] & (phase > 0.5 * dt / self.duration) & ~new  # due, but for the rounding of a sum
+        sets = new | contact & (wait < 0.5 * dt)  # (*B, 1)
         # The slot that is due first, an empty one before all others.
         slot = torch.where(mask, phase, -torch.ones_like(phase)).argmin(-1, keepdim=True)
         chosen = sets & (torch.arange(self.capacity, device=phase.device) == slot)  # (*B, M)

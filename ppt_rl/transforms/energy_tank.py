@@ -11,6 +11,7 @@ from torchrl.data import Bounded, TensorSpec
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.energy_tank import energy_tank
 from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["EnergyTankTransform"]
 
@@ -18,7 +19,7 @@ __all__ = ["EnergyTankTransform"]
 _FLOWS = ("twist", "joint_velocity")
 
 
-class EnergyTankTransform(ActionTransform):
+class EnergyTankTransform(TimedTransform, ActionTransform):
     r"""Scales an effort action so that its power and its total work stay within a budget.
 
     .. math::
@@ -33,7 +34,7 @@ class EnergyTankTransform(ActionTransform):
     Args:
         p_max: power limit [W].
         e_max: tank capacity, and level at the start of an episode [J].
-        dt: control step [s].
+        dt: control step [s]; None takes it from the environment, and needs one.
         mode: the law; ``"paper"`` charges braking like pushing and never refills.
         effort_key: the action: a wrench [N, N m] or joint torque [N m].
         flow_key: the velocity it works on, an observation; None takes ``twist`` or ``joint_velocity``, whichever has
@@ -52,7 +53,7 @@ class EnergyTankTransform(ActionTransform):
     Examples:
         >>> from torchrl.envs import TransformedEnv
         >>> from torchrl.envs.custom import PendulumEnv
-        >>> env = TransformedEnv(PendulumEnv(), EnergyTankTransform(flow_key="thdot"))
+        >>> env = TransformedEnv(PendulumEnv(), EnergyTankTransform(dt=0.05, flow_key="thdot"))
         >>> bool((env.rollout(5)["next", "valve"] <= 1).all())
         True
     """
@@ -61,7 +62,7 @@ class EnergyTankTransform(ActionTransform):
         self,
         p_max: float = 2.0,
         e_max: float = 3.0,
-        dt: float = 0.01,
+        dt: float | None = None,
         mode: str = "paper",
         effort_key: NestedKey = "action",
         flow_key: NestedKey | None = None,
@@ -74,7 +75,7 @@ class EnergyTankTransform(ActionTransform):
             raise ValueError(f"mode is {mode!r}; expected 'paper', the only law there is.")
         self.p_max = require_positive("p_max", p_max, "W")
         self.e_max = require_positive("e_max", e_max, "J")
-        self.dt = require_positive("dt", dt, "s")
+        self.dt = dt
         self.eps = require_positive("eps", eps, "W")
         self.mode = mode
         self.flow_key = flow_key

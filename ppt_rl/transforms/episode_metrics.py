@@ -13,17 +13,19 @@ from ppt_rl.functional.metrics import (
     METRICS,
     MetricsConfig,
     begin_metrics,
+    low_pass,
     summarise_metrics,
     update_metrics,
 )
 from ppt_rl.transforms.base import StatefulTransform
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["EpisodeMetricsTransform"]
 
 _MEMORY = "metrics_memory"
 
 
-class EpisodeMetricsTransform(StatefulTransform):
+class EpisodeMetricsTransform(TimedTransform, StatefulTransform):
     """Measures an episode at control rate and writes ``("metrics", name)``, ``(*B, 1)`` each, where it ends.
 
     Names: ``max_power`` [W] and ``work`` [J] of the commanded power (the measured one where no ``power`` is observed),
@@ -31,25 +33,32 @@ class EpisodeMetricsTransform(StatefulTransform):
     [0-1]; docs/metrics.md defines them. They are zero until ``done``. Append it before a :class:`MacroStepTransform`.
 
     Args:
-        config: time step, thresholds and filter.
+        config: thresholds and filter; None takes the defaults.
+        dt: control step [s]; None takes it from the environment, and needs one.
         twist_key: measured twist.
         wrench_key: measured wrench on the world.
         power_key: commanded power.
 
     Raises:
         KeyError: if twist or wrench are not observed.
+        ValueError: if the filter's cut-off is not below half the control rate.
     """
 
     def __init__(
         self,
         config: MetricsConfig | None = None,
         *,
+        dt: float | None = None,
         twist_key: NestedKey = "twist",
         wrench_key: NestedKey = "wrench",
         power_key: NestedKey = "power",
     ) -> None:
         super().__init__(in_keys=[twist_key, wrench_key, power_key], out_keys=[("metrics", name) for name in METRICS])
         self.config = MetricsConfig() if config is None else config
+        self.dt = dt
+
+    def _accept_dt(self, dt: float) -> None:
+        low_pass(self.config.cutoff, dt)
 
     def _readings(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         twist, wrench = (tensordict.get(key, None) for key in self.in_keys[:2])
@@ -63,11 +72,11 @@ class EpisodeMetricsTransform(StatefulTransform):
         twist, wrench = self._readings(next_tensordict)
         old = tensordict.get(_MEMORY, None)
         if old is None:
-            old = begin_metrics(*self._readings(tensordict), self.config)
+            old = begin_metrics(*self._readings(tensordict), self.config, dt=self.dt)
         power = next_tensordict.get(self.in_keys[2], None)
         if power is None:
             power = (twist * wrench).sum(-1, keepdim=True)
-        memory = update_metrics(old, twist, wrench, power, self.config)
+        memory = update_metrics(old, twist, wrench, power, self.config, dt=self.dt)
         step = tensordict.get("_step", None)
         if step is not None:
             memory = torch.where(expand_as_right(step.reshape(tensordict.batch_size), memory), memory, old)
@@ -89,7 +98,7 @@ class EpisodeMetricsTransform(StatefulTransform):
         return next_tensordict.set("metrics", metrics)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        memory = begin_metrics(*self._readings(tensordict_reset), self.config)
+        memory = begin_metrics(*self._readings(tensordict_reset), self.config, dt=self.dt)
         self._restart(tensordict, tensordict_reset, _MEMORY, memory)
         for key in self.out_keys:
             tensordict_reset.set(key, torch.zeros_like(memory[..., :1]))

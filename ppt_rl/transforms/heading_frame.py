@@ -12,11 +12,12 @@ from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.contact import wall_contact
 from ppt_rl.functional.heading import follow_heading, to_heading
 from ppt_rl.transforms.base import StatefulTransform
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["HeadingFrameTransform"]
 
 
-class HeadingFrameTransform(StatefulTransform):
+class HeadingFrameTransform(TimedTransform, StatefulTransform):
     r"""Keeps the heading of a sliding tool and writes its twist and wrench in heading axes.
 
     .. math:: \nu_h = R_z(-\psi)\,\nu, \qquad \lambda_h = R_z(-\psi)\,\bar\lambda
@@ -35,7 +36,7 @@ class HeadingFrameTransform(StatefulTransform):
         friction: estimate of walls and floor on the tool [-].
         min_force: a wall presses with more than this [N].
         smoothing: time constant of the wrench's low-pass [s].
-        dt: control step [s].
+        dt: control step [s]; None takes it from the environment, and needs one.
         twist_key: measured twist.
         wrench_key: measured wrench on the world.
         start_key: heading at the start, as the robot is told.
@@ -57,7 +58,7 @@ class HeadingFrameTransform(StatefulTransform):
         friction: float = 0.25,
         min_force: float = 1.0,
         smoothing: float = 0.05,
-        dt: float = 0.01,
+        dt: float | None = None,
         twist_key: NestedKey = "twist",
         wrench_key: NestedKey = "wrench",
         start_key: NestedKey = "start_heading",
@@ -69,7 +70,7 @@ class HeadingFrameTransform(StatefulTransform):
         self.friction = require_positive("friction", friction)
         self.min_force = require_positive("min_force", min_force, "N")
         self.smoothing = require_positive("smoothing", smoothing, "s")
-        self.dt = require_positive("dt", dt, "s")
+        self.dt = dt
 
     def _read(self, tensordict: TensorDictBase) -> list[Tensor]:
         values = [tensordict.get(key, None) for key in self.in_keys]
@@ -90,14 +91,14 @@ class HeadingFrameTransform(StatefulTransform):
         return self._write(next_tensordict, twist, heading, smooth)
 
     def _next(self, old: tuple[Tensor, Tensor], twist: Tensor, wrench: Tensor) -> tuple[Tensor, Tensor]:
-        heading, smooth = old
-        smooth = smooth + (wrench - smooth) * (self.dt / (self.smoothing + self.dt))
+        (heading, smooth), dt = old, self.dt
+        smooth = smooth + (wrench - smooth) * (dt / (self.smoothing + dt))
         velocity = twist[..., :2]
         wall = wall_contact(smooth[..., :3], velocity, heading, friction=self.friction, slow=self.slow)
         touching = torch.linalg.vector_norm(wall.force, dim=-1, keepdim=True) > self.min_force
         heading = follow_heading(
             heading, velocity, wall.tangent, touching,
-            dt=self.dt, distance=self.distance, patience=self.patience, slow=self.slow,
+            dt=dt, distance=self.distance, patience=self.patience, slow=self.slow,
         )  # fmt: skip
         return heading, smooth
 

@@ -10,11 +10,12 @@ from torchrl.envs import Transform
 
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.impedance import power
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["PowerLimitTransform"]
 
 
-class PowerLimitTransform(Transform):
+class PowerLimitTransform(TimedTransform, Transform):
     r"""Watches the power of the MEASURED wrench, ``P = wrench . twist``, and what it exceeds its limit by.
 
     .. math:: c = \Delta t\,\max(0, |P| - P_{max}), \qquad r' = r - \mathrm{penalty} \cdot c
@@ -31,7 +32,7 @@ class PowerLimitTransform(Transform):
         p_max: limit of the measured power [W].
         penalty: reward taken off per joule above the limit [1/J]; zero leaves the reward alone.
         terminate: whether a step above the limit ends the episode.
-        dt: control step [s].
+        dt: control step [s]; None takes it from the environment, and needs one.
         wrench_key: measured wrench on the world.
         twist_key: measured twist.
         reward_key: the reward that the penalty is taken off.
@@ -55,7 +56,7 @@ class PowerLimitTransform(Transform):
         *,
         penalty: float = 0.0,
         terminate: bool = False,
-        dt: float = 0.01,
+        dt: float | None = None,
         wrench_key: NestedKey = "wrench",
         twist_key: NestedKey = "twist",
         reward_key: NestedKey = "reward",
@@ -63,7 +64,7 @@ class PowerLimitTransform(Transform):
     ) -> None:
         super().__init__(in_keys=[wrench_key, twist_key], out_keys=[cost_key])
         self.p_max = require_positive("p_max", p_max, "W")
-        self.dt = require_positive("dt", dt, "s")
+        self.dt = dt
         self.penalty = float(penalty)
         if not 0.0 <= self.penalty < float("inf"):
             raise ValueError(f"penalty is {penalty}; expected a finite number of at least 0 [1/J].")

@@ -54,7 +54,7 @@ class RecedingProMPTransform(ProMPTransform):
         max_slip: s, how much faster or slower than the tool a primitive may begin across wall and floor [m/s]; None for
             no limit.
         replan_steps: control steps from one policy step to the next.
-        dt: control step [s].
+        dt: control step [s]; None takes it from the environment, and needs one.
         action_key: the action: residual outside, references towards the environment.
         pose_key: end-effector pose observation.
         twist_key: measured twist; needed for ``max_slip`` only.
@@ -79,7 +79,7 @@ class RecedingProMPTransform(ProMPTransform):
         max_lead: Sequence[float] = (0.002, 0.001, 0.0),
         max_slip: float | None = None,
         replan_steps: int = 20,
-        dt: float = 0.01,
+        dt: float | None = None,
         action_key: NestedKey = "action",
         pose_key: NestedKey = "pose",
         twist_key: NestedKey = "twist",

@@ -49,11 +49,11 @@ def test_the_tank_limits_the_torque_on_torchrls_own_pendulum(batch):
 
 
 def test_specs_hold_on_torchrls_own_pendulum():
-    check_env_specs(TransformedEnv(PendulumEnv(), EnergyTankTransform(flow_key="thdot")))
+    check_env_specs(TransformedEnv(PendulumEnv(), EnergyTankTransform(flow_key="thdot", dt=0.05)))
 
 
 def test_without_a_flow_the_error_says_to_pass_flow_key_and_lists_what_there_is():
-    env = TransformedEnv(PendulumEnv(), EnergyTankTransform())
+    env = TransformedEnv(PendulumEnv(), EnergyTankTransform(dt=0.05))
     with pytest.raises(KeyError, match=r"Pass flow_key=.*thdot"):
         env.rollout(1)
 

@@ -30,7 +30,7 @@ def scripted(twist: Tensor, wrench: Tensor, start: Tensor, **kwargs: Any) -> Tra
     """An environment that tells twists and wrenches ``(B, T + 1, 6)`` and a start heading ``(B, 1)``."""
     begin = start.unsqueeze(1).expand(-1, twist.shape[1], -1)
     base = ScriptedEnv(1, twist=twist, wrench=wrench, start_heading=begin)
-    return TransformedEnv(base, HeadingFrameTransform(**kwargs))
+    return TransformedEnv(base, HeadingFrameTransform(**{"dt": 0.01, **kwargs}))
 
 
 def drawn(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:

@@ -50,15 +50,15 @@ def make_follower_env(config: MazeConfig, base: MazeEnv) -> TransformedEnv:
     Returns:
         The environment.
     """
-    kinematics, dt = Kinematics(base.arm, base.tool_length), config.control_dt
+    kinematics = Kinematics(base.arm, base.tool_length)
     return TransformedEnv(
         base,
         Compose(
-            JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
-            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
+            JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
+            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
             ImpedanceTransform(make_controller(config)),
             EpisodeMetricsTransform(maze_metrics(config)),
-            HeadingFrameTransform(dt=dt),
+            HeadingFrameTransform(),
         ),
     )
 
