@@ -37,7 +37,7 @@ def test_a_feasible_maze_has_its_corners_within_reach_and_nothing_much_nearer_to
             MazeLayout((Straight(0.2), *(Turn(1.3), Straight(0.05), Turn(1.3)), Straight(0.2)), start=(0.5, -0.1)),
             r"two stretches of the maze meet near \(.*\); expected at least 8 mm between",
         ),
-        (MazeLayout((Straight(0.12, rise=0.04),), start=(0.5, -0.1)), r"a ramp rises 0.040 m over 0.050 m; .* 25 degrees"),
+        (MazeLayout((Straight(0.12, rise=0.04),), start=(0.5, -0.1)), r"a ramp rises 0.040 m over 0.050 m; .* 25 deg"),
         (MazeLayout((Straight(0.25, rise=-0.04),), start=(0.5, -0.1)), r"the floor goes down to -0.040 m, .*Raise the"),
     ],
     ids=[
