@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ppt_rl.envs.arm import Rows
+from ppt_rl.envs.episodes import Episodes
 from ppt_rl.envs.maze.geometry import WALL_HEIGHT, Corridor
 
 __all__ = ["MazeEnd", "MazeEpisodes", "MazePosition"]
@@ -58,7 +59,7 @@ class MazeEnd(NamedTuple):
         return self.left_corridor | self.unsafe
 
 
-class MazeEpisodes:
+class MazeEpisodes(Episodes):
     """The mazes of a batch of environments, and what the rewards compare the next control step with.
 
     Args:
@@ -67,10 +68,8 @@ class MazeEpisodes:
     """
 
     def __init__(self, num_envs: int, dtype: torch.dtype) -> None:
-        def zeros(*shape: int) -> Tensor:
-            return torch.zeros(num_envs, *shape, dtype=dtype)
-
-        self.dtype = dtype
+        super().__init__(num_envs, dtype)
+        zeros = self.zeros
         self.centre = zeros(_CORNERS, 3)
         self.half_width = zeros(_CORNERS - 1)
         self.at = zeros(_CORNERS)  # distance of each corner along the centre line [m]
@@ -106,16 +105,13 @@ class MazeEpisodes:
         self.length[row] = self.at[row, -1]
 
     def begin(self, rows: Rows, heading: np.ndarray) -> None:
-        """Begin episodes. Tensors that were observed are replaced, so earlier observations do not change.
+        """Begin episodes.
 
         Args:
             rows: indices of the environments.
             heading: ``(R,)`` heading that each robot is told [rad].
         """
-        index = torch.from_numpy(rows)
-        self.start_heading, self.over = self.start_heading.clone(), self.over.clone()
-        self.start_heading[index, 0] = torch.from_numpy(heading).to(self.dtype)
-        self.over[index] = False
+        self.replace(torch.from_numpy(rows), start_heading=heading[:, None], over=False)
 
     def measure_from(self, rows: Tensor, position: MazePosition) -> None:
         """Measure the progress of some environments from where their tools are now, at rest.
@@ -124,8 +120,7 @@ class MazeEpisodes:
             rows: indices of the environments.
             position: of the tools of all environments.
         """
-        self.travelled, self.velocity = self.travelled.clone(), self.velocity.clone()
-        self.travelled[rows], self.velocity[rows] = position.travelled[rows], 0.0
+        self.replace(rows, travelled=position.travelled[rows], velocity=0.0)
 
     def locate(self, position: Tensor) -> MazePosition:
         """Find where tools are in their corridors.

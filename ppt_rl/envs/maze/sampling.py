@@ -94,10 +94,7 @@ def random_straight(rng: np.random.Generator, ranges: StraightRanges | None = No
         ValueError: if nothing within the ranges fits into the arm's reach.
     """
     ranges = StraightRanges() if ranges is None else ranges
-    layout = _first_feasible(lambda: _draw_straight(rng, ranges), arm)
-    if layout is None:
-        raise ValueError(f"no straight corridor within {ranges} fits into the reach of {arm.name}; widen the ranges.")
-    return layout
+    return _first_feasible(lambda: _draw_straight(rng, ranges), arm, ranges)
 
 
 def random_maze(rng: np.random.Generator, ranges: MazeRanges | None = None, arm: Arm = PANDA) -> MazeLayout:
@@ -115,21 +112,19 @@ def random_maze(rng: np.random.Generator, ranges: MazeRanges | None = None, arm:
         ValueError: if nothing within the ranges fits into the arm's reach.
     """
     ranges = MazeRanges() if ranges is None else ranges
-    layout = _first_feasible(lambda: _draw_maze(rng, ranges), arm)
-    if layout is None:
-        raise ValueError(
-            f"no maze within {ranges} fits into the reach of {arm.name}; widen the ranges, or make it shorter."
-        )
-    return layout
+    return _first_feasible(lambda: _draw_maze(rng, ranges), arm, ranges)
 
 
-def _first_feasible(draw: Callable[[], MazeLayout | None], arm: Arm) -> MazeLayout | None:
-    """Draw layouts until one is feasible; None if none of many is."""
+def _first_feasible(draw: Callable[[], MazeLayout | None], arm: Arm, ranges: StraightRanges | MazeRanges) -> MazeLayout:
+    """Draw layouts until one is feasible."""
     for _ in range(_TRIES):
         layout = draw()
         if layout is not None and _is_feasible(layout, arm):
             return layout
-    return None
+    raise ValueError(
+        f"none of {_TRIES} layouts within {ranges} fits into the reach of {arm.name}; widen the ranges, or reduce the "
+        "length."
+    )
 
 
 def _is_feasible(layout: MazeLayout, arm: Arm) -> bool:

@@ -124,7 +124,7 @@ class PushEnv(ArmEnv):
         tool = self._sensors[:, self._readings.slices["pose"]]
         distances = self._distances(box, tool)
         episode.begin(rows, distances)
-        episode.via_position[rows] = self._via_points(tool)[rows]
+        episode.replace(rows, via_position=self._via_points(tool)[rows])
         success = self._success(box, distances, self._elapsed >= self.horizon)
         return self._task_observation(box, zero_rewards(self.num_envs, self.dtype), distances, success)
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ppt_rl.envs.arm import Rows
+from ppt_rl.envs.episodes import Episodes
 from ppt_rl.functional.checks import require_ranges
 
 __all__ = ["BOXES", "PushDistances", "PushEpisodes", "PushRandomisation", "draw_episodes"]
@@ -66,7 +67,7 @@ class PushDistances(NamedTuple):
     tool_to_box: Tensor
 
 
-class PushEpisodes:
+class PushEpisodes(Episodes):
     """What was drawn for a batch of environments, and the distances that the rewards compare the next step with.
 
     Args:
@@ -75,10 +76,8 @@ class PushEpisodes:
     """
 
     def __init__(self, num_envs: int, dtype: torch.dtype) -> None:
-        def zeros(*shape: int) -> Tensor:
-            return torch.zeros(num_envs, *shape, dtype=dtype)
-
-        self.dtype = dtype
+        super().__init__(num_envs, dtype)
+        zeros = self.zeros
         self.physical = {name: np.zeros(num_envs) for name in ("half", "mass", "friction")}  # [m], [kg], [-]
         self.half, self.box_start, self.goal = zeros(1), zeros(2), zeros(2)
         self.previous, self.initial = PushDistances(zeros(1), zeros(1)), PushDistances(zeros(1) + 1, zeros(1) + 1)
@@ -89,22 +88,16 @@ class PushEpisodes:
         self.via_mask = torch.ones(num_envs, 3, dtype=torch.bool)
 
     def write(self, rows: Rows, drawn: dict[str, np.ndarray]) -> None:
-        """Store what was drawn. Tensors that were observed are replaced, so earlier observations do not change.
+        """Store what was drawn.
 
         Args:
             rows: indices of the environments.
             drawn: a draw of :func:`draw_episodes`.
         """
-        index = torch.from_numpy(rows)
-        self.physical["half"][rows] = 0.5 * drawn["size"]
-        self.physical["mass"][rows] = drawn["mass"]
-        self.physical["friction"][rows] = drawn["friction"]
-        observed = {"half": 0.5 * drawn["size"][:, None], "box_start": drawn["box"], "goal": drawn["goal"]}
-        for name, value in observed.items():
-            tensor = getattr(self, name).clone()
-            tensor[index] = torch.from_numpy(value).to(self.dtype)
-            setattr(self, name, tensor)
-        self.via_position = self.via_position.clone()
+        half = 0.5 * drawn["size"]
+        for name, value in (("half", half), ("mass", drawn["mass"]), ("friction", drawn["friction"])):
+            self.physical[name][rows] = value
+        self.replace(torch.from_numpy(rows), half=half[:, None], box_start=drawn["box"], goal=drawn["goal"])
 
     def begin(self, rows: Tensor, distances: PushDistances) -> None:
         """Measure the progress of some environments from where tool and box are now.

@@ -93,9 +93,9 @@ def test_an_empty_range_is_refused(ranges: Any, limits: tuple[float, float]) -> 
         (
             random_maze,
             MazeRanges(length=(0.2, 0.3)),
-            r"no maze within .* fits into the reach of panda; widen",
+            r"none of 20 layouts within MazeRanges.* fits",
         ),
-        (random_straight, StraightRanges(x=(0.1, 0.1)), r"no straight corridor within .* fits into the reach of panda"),
+        (random_straight, StraightRanges(x=(0.1, 0.1)), r"none of 20 layouts within StraightRanges.* fits"),
     ],
 )
 def test_ranges_in_which_nothing_is_feasible_are_refused(
