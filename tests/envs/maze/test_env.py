@@ -252,7 +252,7 @@ def test_a_safe_force_that_is_not_positive_is_refused(force: float) -> None:
 
 
 def test_no_layout_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"layouts are empty; expected at least one MazeLayout\."):
+    with pytest.raises(ValueError, match=r"layouts is empty; expected at least one MazeLayout\."):
         PandaMazeEnv.of([])
 
 

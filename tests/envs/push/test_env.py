@@ -235,19 +235,19 @@ def test_a_push_is_terminated_at_its_horizon_and_not_truncated():
 
 @pytest.mark.parametrize("box_sizes", [(0.07,), (0.06, 0.1), ()])
 def test_a_box_that_does_not_exist_is_refused_with_those_that_do(box_sizes):
-    with pytest.raises(ValueError, match=r"box_sizes are .*; expected edges out of \(0.06, 0.08\) m"):
+    with pytest.raises(ValueError, match=r"box_sizes are .*; expected one or more of \(0.06, 0.08\) m"):
         PandaPushEnv(1, box_sizes=box_sizes)
 
 
 @pytest.mark.parametrize("radius", [0.0, -0.01, float("nan")])
 def test_a_success_radius_that_is_not_positive_is_refused(radius):
-    with pytest.raises(ValueError, match=r"success_radius is .*; expected a length above 0 m"):
+    with pytest.raises(ValueError, match=r"success_radius is .*; expected a distance above 0 m"):
         PandaPushEnv(1, success_radius=radius)
 
 
 @pytest.mark.parametrize("limits", [(0.6, 0.2), (float("nan"), 0.2)])
 def test_a_range_that_is_empty_is_refused(limits):
-    with pytest.raises(ValueError, match=r"randomisation range friction is .*; expected low <= high"):
+    with pytest.raises(ValueError, match=r"PushRandomisation.friction is .*; expected low <= high"):
         PushRandomisation(friction=limits)
 
 
