@@ -1,6 +1,6 @@
-"""What two choices of the model change: the friction cone, and the inertia in the nullspace projection.
+"""The effect of two modelling choices: the friction cone, and the inertia in the nullspace projection.
 
-The reference alone (no policy) pushes boxes; both figures are quoted in docs/method.md.
+The via-point reference pushes boxes without a policy. docs/method.md quotes the figures.
 ``python benchmarks/model_choices.py``
 """
 
@@ -30,10 +30,10 @@ class Config:
     """Run the reference alone with each friction cone and each projection.
 
     Attributes:
-        episodes: episodes of each kind.
-        num_threads: physics threads; 0 takes one per CPU.
-        seed: of the episodes.
-        box_yaw: largest yaw of the box off the table's axes [rad].
+        episodes: number of episodes for each choice.
+        num_threads: physics threads; 0 takes one for each CPU.
+        seed: seed of the episodes.
+        box_yaw: largest yaw of the box relative to the table's axes [rad].
     """
 
     episodes: int = 256
@@ -43,7 +43,7 @@ class Config:
 
 
 def reference_env(run: Config, promp: Any) -> TransformedEnv:
-    """PPT's chain in fresh episodes."""
+    """The environment with PPT's chain."""
     import ppo_ppt_push as recipe
 
     config = replace(recipe.Config(), num_envs=run.episodes, num_threads=run.num_threads)
@@ -54,7 +54,7 @@ def reference_env(run: Config, promp: Any) -> TransformedEnv:
 
 
 def main(run: Config) -> None:
-    """Measure and print."""
+    """Measure both choices and print the figures."""
     import ppo_ppt_push as recipe
 
     promp = fit_push_prior(recipe.make_modules(recipe.Config())["promp"])
@@ -71,8 +71,8 @@ def main(run: Config) -> None:
         normal = torch.stack([-way[:, 1], way[:, 0]], -1) / way.norm(dim=-1, keepdim=True)
         offset = ((episode["trace", "box_pose"][:, -1, :2] - episode["goal"]) * normal).sum(-1)
         print(
-            f"{name:>10} cone: success {episode['success'].float().mean():.3f}, box off the line to its goal by "
-            f"{1e3 * offset.square().mean().sqrt():.1f} mm RMS"
+            f"{name:>10} cone: success {episode['success'].float().mean():.3f}, box ends "
+            f"{1e3 * offset.square().mean().sqrt():.1f} mm RMS beside the line to its goal"
         )
         env.close()
     for name in ("joint inertia", "identity"):
@@ -83,7 +83,7 @@ def main(run: Config) -> None:
         height = record_episodes(env, still, ["pose"])["trace", "pose"][..., 2]
         drop = (height - height[:, :1]).abs().amax(-1)
         print(
-            f"projection with {name:>13}: tool off its height by up to {1e3 * drop.mean():.1f} mm (mean over episodes)"
+            f"projection with {name:>13}: tool leaves its height by up to {1e3 * drop.mean():.1f} mm (mean of episodes)"
         )
         env.close()
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import torch
 
+from ppt_rl.arms import PANDA, Arm
 from ppt_rl.envs.physics import EngineConfig
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.impedance import CartesianImpedanceController
@@ -55,17 +56,18 @@ class TaskConfig:
         return max(1, round(self.duration / self.control_dt))
 
 
-def make_controller(config: TaskConfig) -> CartesianImpedanceController:
+def make_controller(config: TaskConfig, arm: Arm = PANDA) -> CartesianImpedanceController:
     """The impedance controller of a recipe.
 
     Args:
         config: the recipe's options.
+        arm: the arm, from whose apparent inertia the damping follows.
 
     Returns:
         The controller.
     """
     linear = (config.stiffness,) * 3
-    return CartesianImpedanceController((*linear, 30.0, 30.0, 30.0), config.damping_ratio)
+    return CartesianImpedanceController((*linear, 30.0, 30.0, 30.0), config.damping_ratio, inertia=arm.apparent_inertia)
 
 
 def make_engine_config(config: TaskConfig, *, audit: bool = False) -> EngineConfig:

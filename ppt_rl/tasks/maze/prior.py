@@ -55,7 +55,7 @@ def make_follower_env(config: MazeConfig, base: MazeEnv) -> TransformedEnv:
         Compose(
             JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
             EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
-            ImpedanceTransform(make_controller(config)),
+            ImpedanceTransform(make_controller(config, base.arm)),
             EpisodeMetricsTransform(maze_metrics(config)),
             HeadingFrameTransform(dt=dt),
         ),
