@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from ppt_rl.training.logs import read_scalar
 
-__all__ = ["moving_average", "plot_calibration", "plot_training", "save_figure"]
+__all__ = ["CURVES", "moving_average", "plot_calibration", "plot_training", "save_figure"]
 
 _BLUE, _ORANGE, _GREEN, _GREY = "#1f5fa8", "#d9701a", "#2a9d4a", "#8a8f98"
 Array = NDArray[np.float64]
+#: Panels of training curves: scalar, factor to the unit of the axis, label of the axis.
+CURVES = (("success", 100.0, "success [%]"), ("max_power", 1.0, "max power of an episode [W]"))
 
 
 def moving_average(values: Array, window: int) -> Array:
@@ -49,10 +51,7 @@ def plot_training(run_dir: Path, path: Path, *, p_max: float | None = None, wind
     """
     figure = Figure(figsize=(10, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for axes, name, factor, label in (
-        (left, "success", 100.0, "success [%]"),
-        (right, "max_power", 1.0, "max power per episode [W]"),
-    ):
+    for axes, (name, factor, label) in zip((left, right), CURVES, strict=True):
         steps, values = read_scalar(run_dir, name)
         axes.plot(steps / 1e6, factor * values, color=_BLUE, alpha=0.25, lw=1, label="batch")
         axes.plot(steps / 1e6, factor * moving_average(values, window), color=_BLUE, lw=2, label=f"mean of {window}")

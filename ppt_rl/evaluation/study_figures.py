@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ppt_rl.evaluation.figures import moving_average, save_figure
+from ppt_rl.evaluation.figures import CURVES, moving_average, save_figure
 from ppt_rl.functional.promp import Gaussian
 from ppt_rl.modules.promp import ProMP
 
@@ -40,10 +40,7 @@ def plot_curves(
     """
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for axes, name, factor, label in (
-        (left, "success", 100.0, "success [%]"),
-        (right, "max_power", 1.0, "max power of an episode [W]"),
-    ):
+    for axes, (name, factor, label) in zip((left, right), CURVES, strict=True):
         for variant, seeds in curves.items():
             length = min(len(steps) for steps, _ in seeds)
             steps = seeds[0][0][:length] / 1e6
