@@ -17,8 +17,8 @@ def make_training_env(
 ) -> MazeEnv:
     """Straight corridors to train in.
 
-    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given`` must
-    be empty, since training corridors are drawn.
+    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given``
+    must be empty, since training corridors are drawn.
 
     Raises:
         ValueError: if mazes are given.

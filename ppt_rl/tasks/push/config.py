@@ -111,8 +111,8 @@ def make_push_env(
 ) -> PushEnv:
     """The bare environment of a pushing recipe, the same in training and test.
 
-    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given`` must
-    be empty, since pushing episodes are drawn.
+    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given``
+    must be empty, since pushing episodes are drawn.
 
     Raises:
         ValueError: if episodes are given.
