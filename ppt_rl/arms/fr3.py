@@ -9,8 +9,8 @@ from ppt_rl.arms.panda import PANDA
 
 __all__ = ["FR3"]
 
-#: Limits and inertial parameters: Franka Robotics, ``franka_description``, ``robots/fr3``. The position limits are those
-#: within which every speed up to the limit is allowed. Armature: identified for MuJoCo Menagerie's ``franka_fr3``.
+#: Limits and inertial parameters: Franka Robotics, ``franka_description``, ``robots/fr3``. Armature: that of MuJoCo
+#: Menagerie's ``franka_fr3``, where it was identified in torque control.
 _JOINTS = Joints(
     position_limits=(
         Limits(-2.7437, 2.7437),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ppt_rl.arms.arm import Arm, Chain, DHRow, Inertial, Joints, Limits, Shell
+from ppt_rl.arms.arm import Arm, Inertial, Joints, Limits, Shell
+from ppt_rl.arms.chain import Chain, DHRow
 
 __all__ = ["UR5E"]
 
@@ -51,8 +52,8 @@ _LINKS = (
         (1.8694e-4, 1.8908e-4, 2.5756e-4, 6e-8, -1.7e-7, -9.2e-7),
     ),
 )  # fmt: skip
-#: Limits: Universal Robots, UR5e user manual and "Max. joint torques". The elbow cannot make the whole turn that its drive
-#: allows. Armature: no figure is published; this one is MuJoCo Menagerie's.
+#: Limits: Universal Robots, UR5e user manual and "Max. joint torques"; those of the elbow, where the forearm meets the
+#: upper arm, from the ROS description. Armature: the maker publishes none, so that of MuJoCo Menagerie's model.
 _JOINTS = Joints(
     position_limits=(
         Limits(-_TURN, _TURN),
@@ -98,17 +99,16 @@ _SHELLS = (
     Shell(6, "cylinder", _LIGHT, 0.0375, (0.0, 0.0, 0.061), (0.0, 0.0, 0.0996)),
 )
 
-#: Turns the arm so that the tool, which lies beside the plane of the two long links, is straight ahead of the base [rad].
+#: The tool lies beside the plane of the two long links. The arm turns by this much to have it straight ahead [rad].
 _ASIDE = math.atan(0.1333 / (0.3922 + 0.0997))
 
 UR5E = Arm(
     name="ur5e",
-    chain=Chain.standard_dh(_ROWS),
+    chain=Chain.standard_dh(_ROWS, tool_turn=-_HALF_PI),
     joints=_JOINTS,
     links=tuple(link.in_joint_frame(row) for link, row in zip(_LINKS, _ROWS, strict=True)),
     home=(-math.pi - _ASIDE, -_HALF_PI, _HALF_PI, -_HALF_PI, -_HALF_PI, -_ASIDE),
-    tool_turn=-_HALF_PI,
-    reach=Limits(0.30, 0.75),
+    reach=Limits(0.30, 0.70),  # It could be wider; the Panda's lets a seed draw the same mazes.
     apparent_inertia=(9.28, 5.36, 8.57, 0.43, 0.71, 0.10),
     shells=_SHELLS,
 )

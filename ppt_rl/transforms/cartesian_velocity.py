@@ -13,7 +13,8 @@ from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.heading import from_heading
 from ppt_rl.modules.task_space import TaskSpace
-from ppt_rl.transforms.base import ActionTransform, replace_leaf
+from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.specs import replace_leaf
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["CartesianVelocityTransform"]

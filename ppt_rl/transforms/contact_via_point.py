@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.utils import NestedKey, expand_as_right
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Binary, TensorSpec, Unbounded
 
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.contact import WallContact, is_touching, wall_contact
-from ppt_rl.transforms.base import StatefulTransform
+from ppt_rl.transforms.base import Entries, ObserverTransform
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["ContactViaPointTransform"]
 
 
-class ContactViaPointTransform(TimedTransform, StatefulTransform):
+class ContactViaPointTransform(TimedTransform, ObserverTransform):
     r"""Turns contact with a wall into via-points along it, in a buffer of fixed size.
 
     While a wall is felt (:func:`~ppt_rl.functional.contact.wall_contact`), every ``spacing`` a via-point is set on the
@@ -67,6 +66,12 @@ class ContactViaPointTransform(TimedTransform, StatefulTransform):
         Paper, section "Trajectory Posterior via Via-Point Conditioning"; how contact makes via-points is ours.
     """
 
+    state_keys = (
+        "contact", "new_wall", "via_mask", "via_wait", "via_pause", "via_phase", "via_tangent", "via_position",
+        "via_cov",
+    )  # fmt: skip
+    _hint = " HeadingFrameTransform writes heading and smooth_wrench."
+
     def __init__(
         self,
         duration: float,
@@ -113,21 +118,15 @@ class ContactViaPointTransform(TimedTransform, StatefulTransform):
             raise ValueError(f"std is {std}; expected three numbers: along the wall, across it, in height [m].")
         self.register_buffer("variance", torch.tensor([require_positive("std", value, "m") ** 2 for value in std]))
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        pose, twist, wrench, heading = self._read(next_tensordict)
-        old = {key: tensordict.get(key, None) for key in self._keys()}
-        if any(value is None for value in old.values()):
-            old = self._empty(pose)
-        wall = wall_contact(wrench[..., :3], twist[..., :2], heading, friction=self.friction, slow=self.slow)
-        new = self._updated(old, pose, wall)
-        step = tensordict.get("_step", None)
-        for key, value in new.items():
-            if step is not None:
-                value = torch.where(expand_as_right(step.reshape(tensordict.batch_size), value), value, old[key])
-            next_tensordict.set(key, value)
-        return next_tensordict
+    def _begin(self, *readings: Tensor) -> Entries:
+        return self._empty(readings[0])
 
-    def _updated(self, old: dict[str, Tensor], pose: Tensor, wall: WallContact) -> dict[str, Tensor]:
+    def _update(self, state: Entries, *readings: Tensor) -> Entries:
+        pose, twist, wrench, heading = readings
+        wall = wall_contact(wrench[..., :3], twist[..., :2], heading, friction=self.friction, slow=self.slow)
+        return self._updated(state, pose, wall)
+
+    def _updated(self, old: Entries, pose: Tensor, wall: WallContact) -> Entries:
         size = torch.linalg.vector_norm(wall.force, dim=-1, keepdim=True)
         contact = is_touching(old["contact"], size, on=self.on, off=self.off)
         same = (wall.tangent * old["via_tangent"]).sum(-1, keepdim=True) >= math.cos(self.turn)
@@ -165,26 +164,7 @@ class ContactViaPointTransform(TimedTransform, StatefulTransform):
 
     # -- state --------------------------------------------------------------------------------------------------------
 
-    def _read(self, tensordict: TensorDictBase) -> list[Tensor]:
-        values = [tensordict.get(key, None) for key in self.in_keys]
-        missing = [key for key, value in zip(self.in_keys, values, strict=True) if value is None]
-        if missing:
-            raise KeyError(
-                f"ContactViaPointTransform needs {missing}; the tensordict holds {sorted(tensordict.keys())}. "
-                "HeadingFrameTransform writes heading and smooth_wrench."
-            )
-        return values
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        for key, value in self._empty(self._read(tensordict_reset)[0]).items():
-            self._restart(tensordict, tensordict_reset, key, value)
-        return tensordict_reset
-
-    def _keys(self) -> tuple[str, ...]:
-        times, flags = ("via_wait", "via_pause", "via_phase"), ("contact", "new_wall", "via_mask")
-        return *flags, *times, "via_tangent", "via_position", "via_cov"
-
-    def _empty(self, pose: Tensor) -> dict[str, Tensor]:
+    def _empty(self, pose: Tensor) -> Entries:
         batch, size = pose.shape[:-1], self.capacity
         flag = torch.zeros(*batch, size, dtype=torch.bool, device=pose.device)
         return {
@@ -198,9 +178,6 @@ class ContactViaPointTransform(TimedTransform, StatefulTransform):
             "via_position": pose.new_zeros(*batch, size, 3),
             "via_cov": self.variance.to(pose).diag_embed().expand(*batch, size, 3, 3).clone(),
         }
-
-    def _like(self) -> TensorSpec:
-        return self.parent.full_observation_spec[self.in_keys[0]]
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
         def real(*shape: int) -> Unbounded:

@@ -13,7 +13,8 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
 from ppt_rl.modules.kinematics import Kinematics
-from ppt_rl.transforms.base import ActionTransform, replace_leaf
+from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.specs import replace_leaf
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["JointTorqueTransform"]

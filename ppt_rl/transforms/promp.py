@@ -14,7 +14,8 @@ from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.promp import Gaussian, unvec, vec
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
-from ppt_rl.transforms.base import ActionTransform, replace_leaf
+from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.specs import replace_leaf
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["ProMPTransform"]

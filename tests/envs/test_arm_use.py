@@ -30,7 +30,7 @@ opengl = pytest.mark.skipif(
         ({"num_envs": True}, "num_envs is True; expected a whole number of at least 1"),
         (
             {"engine": EngineConfig(physics_dt=0.003)},
-            r"control_dt=0.01 s is 3.33333 times physics_dt=0.003 s; expected a whole number. Take",
+            r"control_dt=0.01 s is 3.33333 times physics_dt=0.003 s; expected a whole number. Set",
         ),
         ({"control_dt": -0.01}, "control_dt is -0.01; expected a finite number above 0 s"),
         ({"duration": float("nan")}, "duration is nan; expected a finite number above 0 s"),
@@ -46,7 +46,7 @@ def test_an_action_of_the_wrong_shape_is_refused(shape):
     env = PandaEnv(2, seed=0)
     env.reset()
     with pytest.raises(ValueError, match=r"action has shape .* expected \(2, 7\).* Put JointTorqueTransform on"):
-        env._checked_torque(torch.zeros(shape), None)
+        env._checked_action(torch.zeros(shape), None)
 
 
 def test_a_step_with_a_wrench_as_action_names_the_missing_transform():
@@ -91,7 +91,7 @@ def test_an_unknown_camera_is_refused_with_the_known_ones():
 def test_rendering_without_an_opengl_library_says_what_to_install(monkeypatch):
     monkeypatch.setattr("ppt_rl.envs.rendering.rendering_backend", lambda: "disable")
     with pytest.raises(
-        RuntimeError, match=r"needs an OpenGL library and none was found; install EGL or OSMesa.*libegl1"
+        RuntimeError, match=r"needs an OpenGL library, and none was found. Install EGL or OSMesa.*libegl1"
     ):
         PandaEnv(1, seed=0).render()
 

@@ -117,7 +117,7 @@ def test_the_number_of_substeps_is_the_ratio_of_the_time_steps(control_dt, physi
 
 @pytest.mark.parametrize(("control_dt", "physics_dt"), [(0.01, 0.003), (0.01, 0.02), (0.0101, 0.0005)])
 def test_a_time_step_that_does_not_divide_the_control_step_is_refused_with_one_that_does(control_dt, physics_dt):
-    with pytest.raises(ValueError, match=r"expected a whole number\. Take for instance physics_dt=") as error:
+    with pytest.raises(ValueError, match=r"expected a whole number\. Set, for instance, physics_dt=") as error:
         substeps_per_control_step(control_dt, physics_dt)
     proposed = float(str(error.value).rsplit("=", 1)[1].rstrip("."))
     assert substeps_per_control_step(control_dt, proposed) >= 1

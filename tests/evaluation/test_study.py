@@ -52,7 +52,7 @@ def test_a_study_leaves_tables_figures_and_policies_of_every_variant(finished):
     summary = json.loads((results / "summary.json").read_text())
     assert summary["seeds"] == {"PP": 1, "PPT": 1, "S": 1, "ST": 1}
     assert set(summary["metrics"]["PPT"]) == set(COLUMNS)
-    assert set(summary["episodes"]) == {"PP", "PPT", "S", "ST", "reference alone"}
+    assert set(summary["episodes"]) == {"PP", "PPT", "S", "ST", "reference alone, PP", "reference alone, PPT"}
     assert {verdict["verdict"] for verdict in summary["orderings"]} == {"not resolved"}  # one seed
     for run in finished.planned():
         assert (finished.publish / run.recipe.variant / "policy.safetensors").exists()

@@ -15,6 +15,7 @@ from ppt_rl.envs import PandaPushEnv
 from ppt_rl.modules import Kinematics
 from ppt_rl.transforms import EnergyTankTransform, EpisodeMetricsTransform, JointTorqueTransform, MacroStepTransform
 from ppt_rl.transforms.timed import control_step
+from tests.engines import ONE_THREAD
 from tests.transforms.cases import CASES, control_chain, make_base, make_env
 from tests.transforms.mocks import MockArmEnv, actions_for, play
 
@@ -89,7 +90,7 @@ def test_an_environment_with_an_impossible_control_step_is_refused(bad):
 
 @pytest.mark.parametrize("dt", [0.02, 0.005])
 def test_the_tank_charges_power_times_the_control_step_of_the_simulated_arm(dt):
-    env = TransformedEnv(PandaPushEnv(2, control_dt=dt, num_threads=1, seed=0), EnergyTankTransform())
+    env = TransformedEnv(PandaPushEnv(2, control_dt=dt, engine=ONE_THREAD, seed=0), EnergyTankTransform())
     steps = play(env, actions_for(env, 10, scale=20.0))
     power = steps["next", "valve"] * (steps["action"] * steps["joint_velocity"]).sum(-1, keepdim=True).abs()
     spent = steps["tank_energy"][:, 0] - steps["next", "tank_energy"][:, -1]
