@@ -64,7 +64,7 @@ def test_a_longer_tool_moves_the_point_along_the_tools_axis(kinematics):
     assert_close(far[:, 3:], near[:, 3:], rtol=0.0, atol=1e-12)
 
 
-def test_the_jacobian_method_gives_the_forwards_jacobian(kinematics):
+def test_the_jacobian_method_equals_the_jacobian_of_forward(kinematics):
     q = random_joint_positions(5)
     assert torch.equal(kinematics.jacobian(q), kinematics(q)[1])
 
@@ -134,7 +134,7 @@ def test_inverse_kinematics_reaches_poses_near_the_guess_inside_the_limits(dtype
     assert bool(((found >= low) & (found <= high)).all())
 
 
-def test_inverse_kinematics_of_a_reached_pose_is_the_guess(kinematics):
+def test_inverse_kinematics_of_a_pose_already_reached_returns_the_guess(kinematics):
     guess = random_joint_positions(5)
     assert_close(kinematics.inverse(kinematics(guess)[0], guess), guess, rtol=0.0, atol=1e-12)
 
@@ -146,7 +146,7 @@ def test_inverse_kinematics_counts_the_poses_out_of_reach(kinematics):
         kinematics.inverse(pose, REACH.expand(3, 7))
 
 
-def test_inverse_kinematics_does_not_take_the_opposite_orientation_for_the_wanted_one(kinematics):
+def test_inverse_kinematics_does_not_mistake_the_opposite_orientation_for_the_wanted_one(kinematics):
     pose = kinematics(REACH)[0].clone()
     pose[3:] = quat_multiply(quat_from_yaw(torch.tensor(math.pi, dtype=F64)), pose[3:])
     with pytest.raises(ValueError, match="no joint position found for 1 of the poses"):

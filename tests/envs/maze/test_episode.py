@@ -51,17 +51,16 @@ def test_a_position_is_the_nearest_point_of_the_centre_line_by_brute_force() -> 
         share = rng.uniform(0, 1, len(cases))
         near = np.stack([points[int(12000 * part)] for points, part in zip(dense, share, strict=True)])
         position = near + np.concatenate([rng.normal(0, 0.02, (len(cases), 2)), rng.normal(0, 0.1, (len(cases), 1))], 1)
-        place = {
-            name: value.squeeze(-1).numpy() for name, value in kept.locate(torch.from_numpy(position))._asdict().items()
-        }
+        located = kept.locate(torch.from_numpy(position))._asdict()
+        nearest = {name: value.squeeze(-1).numpy() for name, value in located.items()}
         for row, (_, corridor) in enumerate(cases):
             tool = position[row, :2]
-            found = line(corridor.centre, place["travelled"][row : row + 1])[0]
+            found = line(corridor.centre, nearest["travelled"][row : row + 1])[0]
             away = np.linalg.norm(tool - found[:2])
             least = np.linalg.norm(dense[row][:, :2] - tool, axis=-1).min()
             assert away <= least + 1e-9
-            assert abs(place["offset"][row]) == pytest.approx(away, abs=1e-9)
-            assert place["floor"][row] == pytest.approx(found[2], abs=1e-9)
+            assert abs(nearest["offset"][row]) == pytest.approx(away, abs=1e-9)
+            assert nearest["floor"][row] == pytest.approx(found[2], abs=1e-9)
 
 
 @pytest.mark.parametrize(("dtype", "atol"), [(F64, 1e-9), (torch.float32, 2e-6)])
@@ -74,8 +73,8 @@ def test_a_position_has_the_offset_heading_floor_and_width_of_its_point(dtype: t
         points, headings, piece = (np.stack([spot[i][k % len(spot[0])] for spot in spots]) for i in range(3))
         position = points.copy()
         position[:, :2] += aside[:, None] * unit(headings + 0.5 * math.pi)
-        place = kept.locate(torch.from_numpy(position).to(dtype))
-        assert all(value.shape == (len(cases), 1) and value.dtype == dtype for value in place)
+        located = kept.locate(torch.from_numpy(position).to(dtype))
+        assert all(value.shape == (len(cases), 1) and value.dtype == dtype for value in located)
         expected = {
             "travelled": np.asarray([_distance_to(c.centre, p) for (_, c), p in zip(cases, points, strict=True)]),
             "offset": aside,
@@ -84,7 +83,7 @@ def test_a_position_has_the_offset_heading_floor_and_width_of_its_point(dtype: t
             "heading": headings,
         }
         for name, value in expected.items():
-            got = getattr(place, name).squeeze(-1)
+            got = getattr(located, name).squeeze(-1)
             assert_close(got, torch.from_numpy(value).to(dtype), rtol=0, atol=30 * atol if name == "heading" else atol)
 
 
