@@ -2,15 +2,14 @@ from __future__ import annotations
 
 import math
 
-import mujoco
 import numpy as np
 import pytest
 import torch
-from dm_control import mjcf
 
 from ppt_rl.arms import UR5E, Chain, DHRow
 from ppt_rl.arms import ur5e as ur5e_file
 from ppt_rl.envs.models import arm_model
+from ppt_rl.envs.mujoco_imports import mjcf, mujoco
 from ppt_rl.functional.rotations import quat_to_matrix
 from ppt_rl.modules import Kinematics
 from tests.sampling import random_joint_positions
