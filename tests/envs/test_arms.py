@@ -10,7 +10,7 @@ from torch.testing import assert_close
 from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from ppt_rl.arms import FR3, PANDA, UR5E, Arm, Limits
+from ppt_rl.arms import FR3, PANDA, UR5E, Arm, Limits, arm_names, find_arm
 from ppt_rl.envs import (
     ArmEnv,
     EngineConfig,
@@ -35,7 +35,7 @@ from ppt_rl.transforms import (
 )
 from tests.engines import COARSE
 
-ARMS = [PANDA, FR3, UR5E]
+ARMS = [find_arm(name) for name in arm_names()]
 MAKES = [ArmEnv, PushEnv, MazeEnv.straight, MazeEnv.mazes]
 every_arm = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 
@@ -80,7 +80,7 @@ def test_the_tool_follows_a_reference_behind_the_tank_with_every_arm_in_every_ta
     assert not observation["diverged"].any()
 
 
-@pytest.mark.parametrize("arm", [FR3, UR5E], ids=lambda arm: arm.name)
+@every_arm
 def test_the_reference_alone_pushes_nine_of_ten_boxes(arm):
     promp = fit_push_prior(ProMP(8, 3, 3.0), num_demonstrations=128)
     base = PushEnv(64, arm=arm, seed=10_000, engine=EngineConfig(physics_dt=0.001))

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from ppt_rl.arms import FR3, PANDA, UR5E, Arm
+from ppt_rl.arms import PANDA, Arm, arm_names, find_arm
 from ppt_rl.envs.models import CYLINDER, PADDLE, table_scene
 from ppt_rl.envs.mujoco_imports import mjcf, mujoco
 from ppt_rl.functional.rotations import quat_conjugate, quat_from_yaw, quat_multiply, quat_to_matrix
@@ -15,7 +15,7 @@ from tests.sampling import normal, random_joint_positions
 
 F32, F64 = torch.float32, torch.float64
 HOME = torch.tensor(PANDA.home, dtype=F64)
-ARMS = [PANDA, FR3, UR5E]
+ARMS = [find_arm(name) for name in arm_names()]
 
 
 @pytest.fixture(scope="module")
