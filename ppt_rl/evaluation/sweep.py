@@ -58,7 +58,7 @@ def run_sweep(
     """Sweep policies of one task; write ``difficulty.json`` and ``difficulty.png``.
 
     Args:
-        policies: who is judged.
+        policies: the policies.
         episodes: number of episodes at each point.
         seed: seed of the episodes.
         baselines: names of baselines to sweep too, with the options of the first policy.
