@@ -96,7 +96,7 @@ def _draw_scene(axes: Axes, episode: Mapping[str, Array]) -> None:
 
 
 def _placed(points: Array, pose: Array, *, tool_down: bool = False) -> Array:
-    """Points of a body, in the plane, at a pose. A body with its tool down is turned over, so its y axis is reversed."""
+    """Points of a body, in the plane, at a pose. With the tool down, the y axis is reversed."""
     w, x, y, z = pose[3:]
     axis_x = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)])
     axis_y = np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z)])
