@@ -39,8 +39,8 @@ class MakeEnv(Protocol):
         ...
 
 
-#: From a :class:`~ppt_rl.evaluation.policy.Policy` (for its options) and a bare test environment: the environment that a
-#: baseline acts on, and the baseline.
+#: From a policy (for its options) and a bare test environment: the environment that a baseline acts on, and the
+#: baseline itself.
 Baseline = Callable[[Any, ArmEnv], tuple[EnvBase, Any]]
 
 
