@@ -1,8 +1,8 @@
-"""Typical inertia of an arm with its paddle in the workspace of pushing: the source of ``Joints.inertia`` and of
-``Arm.apparent_inertia``, from which the default damping and the nullspace projection follow.
+"""Typical inertia of an arm with the paddle, over the workspace of the pushing task.
 
-``python benchmarks/apparent_inertia.py --arm ur5e``
-"""  # noqa: D205
+An arm's file states these medians as ``Joints.inertia`` and ``Arm.apparent_inertia``. The nullspace projection and the
+damping of the impedance follow from them. ``python benchmarks/apparent_inertia.py --arm ur5e``
+"""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Config:
     """Print the typical inertia of an arm.
 
     Attributes:
-        arm: its name.
-        samples: poses of the tool that the medians are taken over.
-        seed: of the poses.
+        arm: name of the arm.
+        samples: number of tool poses over which the medians are taken.
+        seed: seed of the poses.
     """
 
     arm: str = "panda"
@@ -34,7 +34,7 @@ class Config:
 
 
 def joint_positions(arm: Arm, tool_length: float, samples: int, seed: int) -> np.ndarray:
-    """Joint positions ``(samples, n)`` with the tool down at the table, anywhere between start and goal of a push."""
+    """Joint positions ``(samples, n)`` with the tool down at the table, between the starts and goals of pushes."""
     generator = np.random.default_rng(seed)
     x, y = generator.uniform(0.36, 0.70, samples), generator.uniform(-0.15, 0.15, samples)
     down = np.tile(ArmEnv.start_pose[2:], (samples, 1))

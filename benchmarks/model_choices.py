@@ -15,7 +15,7 @@ from torchrl.envs import TransformedEnv
 from ppt_rl.envs.mujoco_imports import mujoco
 from ppt_rl.evaluation import record_episodes
 from ppt_rl.recipes.ppo_ppt_push import RECIPE
-from ppt_rl.tasks.push import PUSH, fit_push_prior
+from ppt_rl.tasks.push import fit_push_prior
 from ppt_rl.training import run_script
 from ppt_rl.transforms import JointTorqueTransform
 
@@ -42,9 +42,10 @@ class Config:
 def reference_env(run: Config, promp: Any) -> TransformedEnv:
     """PPT's chain in fresh episodes."""
     config = RECIPE.config(num_threads=run.num_threads)
-    base = PUSH.make_test_env(config, num_envs=run.episodes, seed=run.seed, audit=False)
+    env = RECIPE.make_env(config, {"promp": promp}, num_envs=run.episodes, seed=run.seed)
+    base = env.base_env
     base.randomisation = replace(base.randomisation, box_yaw=(-run.box_yaw, run.box_yaw))
-    return RECIPE.on(base, config, {"promp": promp})
+    return env
 
 
 def main(run: Config) -> None:

@@ -23,7 +23,7 @@ from torchrl.envs.utils import ExplorationType
 
 from ppt_rl.envs.mujoco_imports import mujoco
 from ppt_rl.recipes.ppo_ppt_push import RECIPE
-from ppt_rl.tasks.push import PUSH, fit_push_prior
+from ppt_rl.tasks.push import fit_push_prior
 from ppt_rl.training import run_script
 
 
@@ -66,10 +66,9 @@ def measure(run: Config) -> dict[str, float]:
     config = RECIPE.config(num_threads=run.threads, duration=run.seconds)
     promp = fit_push_prior(RECIPE.make_modules(config)["promp"], num_demonstrations=64)
     before = _peak_memory()
-    base = PUSH.make_test_env(config, num_envs=run.num_envs, seed=1, audit=False)
-    env = RECIPE.on(base, config, {"promp": promp})
+    env = RECIPE.make_env(config, {"promp": promp}, num_envs=run.num_envs, seed=1)
     actor, _ = RECIPE.make_policy(config, env)
-    engine = base.engine
+    base, engine = env.base_env, env.base_env.engine
     env.reset()
     memory = (_peak_memory() - before) / run.num_envs
     torques = _reference_torques(env, actor)

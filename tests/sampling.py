@@ -3,7 +3,8 @@
 import torch
 from torch import Tensor
 
-from ppt_rl.arms import PANDA
+from ppt_rl.arms import PANDA, Arm
+from ppt_rl.functional.promp import Gaussian
 
 
 def random_quats(*shape: int, seed: int = 0) -> Tensor:
@@ -18,11 +19,11 @@ def random_poses(*shape: int, seed: int = 0) -> Tensor:
     return torch.cat([position, random_quats(*shape, seed=seed)], -1)
 
 
-def random_joint_positions(*shape: int, seed: int = 0) -> Tensor:
+def random_joint_positions(*shape: int, arm: Arm = PANDA, seed: int = 0) -> Tensor:
     """Joint positions, uniform between the limits, float64."""
-    low, high = torch.tensor(PANDA.joints.position_limits, dtype=torch.float64).unbind(-1)
+    low, high = torch.tensor(arm.joints.position_limits, dtype=torch.float64).unbind(-1)
     return low + (high - low) * torch.rand(
-        *shape, 7, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+        *shape, arm.num_joints, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
     )
 
 
@@ -35,3 +36,8 @@ def random_cov(*batch: int, size: int, scale: float = 1.0, seed: int = 0) -> Ten
     """Positive definite matrices ``(*batch, size, size)``."""
     root = normal(*batch, size, size, seed=seed)
     return scale * (root @ root.mT / size + 0.1 * torch.eye(size, dtype=torch.float64))
+
+
+def random_gaussian(size: int, *batch: int, seed: int = 0) -> Gaussian:
+    """Normal distributions with means ``(*batch, size)``."""
+    return Gaussian(normal(*batch, size, seed=seed + 1), random_cov(*batch, size=size, seed=seed))

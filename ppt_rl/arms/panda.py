@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ppt_rl.arms.arm import Arm, Chain, DHRow, Inertial, Joints, Limits, Shell
+from ppt_rl.arms.arm import Arm, Inertial, Joints, Limits, Shell
+from ppt_rl.arms.chain import Chain, DHRow
 
 __all__ = ["PANDA"]
 
@@ -24,8 +25,9 @@ _CHAIN = Chain.modified_dh(
         DHRow(0.088, 0.0, _HALF_PI),
     ),
     flange=0.107,
+    tool_turn=-math.pi / 4,
 )
-#: Limits: the same specifications. Armature: the order of the Panda's drives; it keeps the wrist calm at 100 Hz.
+#: Limits: the same specifications. Armature: an estimate of the right order, which keeps the wrist calm at 100 Hz.
 _JOINTS = Joints(
     position_limits=(
         Limits(-2.8973, 2.8973),
@@ -113,7 +115,6 @@ PANDA = Arm(
     joints=_JOINTS,
     links=_LINKS,
     home=(0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi / 4),
-    tool_turn=-math.pi / 4,
     reach=Limits(0.30, 0.70),
     apparent_inertia=(8.35, 4.90, 8.75, 0.91, 0.75, 0.10),
     shells=_SHELLS,

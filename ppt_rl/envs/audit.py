@@ -1,4 +1,4 @@
-"""Power and work at the rate of the physics, the truth that books kept at control rate are held against."""
+"""Power and work at the rate of the physics, with which an accounting at control rate can be compared."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from ppt_rl.functional.impedance import power
 
 __all__ = ["AUDITED", "AuditedPhysics"]
 
-#: What is audited, in order.
+#: Names of the audited quantities, in order.
 AUDITED = ("commanded_work", "commanded_power", "measured_work", "measured_power")
 
 
 class AuditedPhysics:
-    r"""An engine that integrates power over every substep of another one.
+    r"""Wraps an engine and integrates power over every physics substep.
 
     .. math::
         W_c = \sum_k |\tau \cdot \dot q_k|\,h, \quad P_c = \max_k |\tau \cdot \dot q_k|, \qquad
         W_m = \sum_k |\lambda_k \cdot \nu_k|\,h, \quad P_m = \max_k |\lambda_k \cdot \nu_k|
 
-    since the last reset, with ``h`` the physics step, ``tau`` the torque held over the control step and ``lambda``,
-    ``nu`` wrench and twist of the wrist sensor. As in the tank, braking counts like pushing.
+    since the last reset, where ``h`` is the physics time step, ``tau`` the torque held over the control step, and
+    ``lambda`` and ``nu`` are the measured wrench and twist. As in the tank, braking counts like pushing.
 
     Args:
-        engine: what steps the physics.
+        engine: the engine to wrap.
         model: compiled model, for its sensors.
     """
 
@@ -42,28 +42,28 @@ class AuditedPhysics:
         self.totals = np.zeros((engine.num_envs, len(AUDITED)))
 
     def __getattr__(self, name: str) -> Any:
-        """Everything else is the engine's."""
+        """Everything else comes from the wrapped engine."""
         if name == "_engine":
             raise AttributeError(name)
         return getattr(self._engine, name)
 
     def reset(self, rows: NDArray[np.int64], joint_position: Array) -> Array:
-        """See :meth:`PhysicsEngine.reset`; the books of the rows are opened anew."""
+        """See :meth:`PhysicsEngine.reset`; the totals of ``rows`` start again at zero."""
         self.totals[rows] = 0.0
         return self._engine.reset(rows, joint_position)
 
     def step(self, control: Array, rows: NDArray[np.int64] | None = None) -> PhysicsStep:
-        """See :meth:`PhysicsEngine.step`; a row that diverged books nothing."""
+        """See :meth:`PhysicsEngine.step`; an environment that diverged adds nothing to its totals."""
         result = self._engine.step(control, rows)
         commanded, measured = (values.abs().numpy() for values in self._powers(result.sensors, control))  # (R, K)
-        books = np.stack(
+        spent = np.stack(
             [commanded.sum(-1) * self._dt, commanded.max(-1), measured.sum(-1) * self._dt, measured.max(-1)], -1
         )
-        books[result.diverged] = 0.0
+        spent[result.diverged] = 0.0
         index = slice(None) if rows is None else rows
         totals = self.totals[index]
-        totals[:, ::2] += books[:, ::2]  # works add up
-        totals[:, 1::2] = np.maximum(totals[:, 1::2], books[:, 1::2])  # powers leave their largest
+        totals[:, ::2] += spent[:, ::2]  # work adds up
+        totals[:, 1::2] = np.maximum(totals[:, 1::2], spent[:, 1::2])  # power keeps its maximum
         self.totals[index] = totals
         return result
 
@@ -78,13 +78,13 @@ class AuditedPhysics:
         return commanded.reshape(count, substeps), measured.reshape(count, substeps)
 
     def observe(self, dtype: torch.dtype) -> dict[str, Tensor]:
-        """The books since the last reset.
+        """The totals since the last reset.
 
         Args:
             dtype: of the tensors.
 
         Returns:
-            For each name of :data:`AUDITED` a tensor ``(num_envs, 1)``: work [J], largest power [W].
+            A tensor ``(num_envs, 1)`` for each name in :data:`AUDITED`: work [J] or largest power [W].
         """
         totals = torch.from_numpy(self.totals).to(dtype, copy=True)
         return dict(zip(AUDITED, totals.split(1, -1), strict=True))

@@ -1,7 +1,7 @@
-"""MuJoCo and dm_control, imported once and quietly.
+"""Imports MuJoCo and dm_control in one place, without warnings.
 
-dm_control probes for a display when it is imported and warns when there is none. The library renders off screen, so
-the rendering backend is chosen first (an existing ``MUJOCO_GL`` is respected) and that warning is kept from the user.
+On import, dm_control looks for a display and warns if there is none. This library renders off screen, so this module
+chooses a rendering backend first (it respects an existing ``MUJOCO_GL``) and suppresses that warning.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["mjcf", "mujoco", "rendering_backend"]
 
 
 def rendering_backend() -> str:
-    """Rendering backend that this machine can load: ``"egl"``, ``"osmesa"`` or ``"disable"``."""
+    """The rendering backend: ``MUJOCO_GL`` if it is set, else what can be loaded: ``egl``, ``osmesa``, ``disable``."""
     chosen = os.environ.get("MUJOCO_GL")
     if chosen:
         return chosen

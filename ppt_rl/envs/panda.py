@@ -1,4 +1,4 @@
-"""The environments of the Franka Emika Panda, by its name."""
+"""The environments of the Franka Emika Panda."""
 
 from __future__ import annotations
 

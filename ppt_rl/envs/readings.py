@@ -1,4 +1,4 @@
-"""What the sensors of the arm say, in the library's conventions."""
+"""Sensor readings of the arm in the library's conventions."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["ArmReadings", "sensor_span"]
 
 
 def sensor_span(model: Any, first: str, last: str) -> slice:
-    """Part of the sensor vector from one sensor to another, both included.
+    """The slice of the sensor vector from one sensor to another, both included.
 
     Args:
         model: ``mujoco.MjModel``.
         first: name of the first sensor.
-        last: name of the last one.
+        last: name of the last sensor.
 
     Returns:
         The slice.
@@ -45,23 +45,24 @@ class ArmReadings:
         self._force = sensor_span(model, "force", "torque")
         tool, point = model.body("tool"), model.site("end_effector").pos
         self._weight = torch.tensor(float(tool.mass[0]) * model.opt.gravity, dtype=dtype)  # [N]
-        self._com = torch.tensor(tool.ipos - point, dtype=dtype)  # from the end-effector point, tool axes [m]
+        self._com = torch.tensor(tool.ipos - point, dtype=dtype)  # from the end-effector point, in tool axes [m]
 
     def observe(self, sensors: Tensor) -> dict[str, Tensor]:
-        """Observations, views of the readings but for the wrench.
+        """Split readings into observations: the wrench is computed, the others are views of the readings.
 
         Args:
             sensors: ``(B, S)`` readings.
 
         Returns:
-            ``joint_position``, ``joint_velocity``, ``pose``, ``twist`` and ``wrench``.
+            ``joint_position`` ``(B, n)`` [rad], ``joint_velocity`` ``(B, n)`` [rad/s], ``pose`` ``(B, 7)`` [m, -],
+            ``twist`` ``(B, 6)`` [m/s, rad/s] and ``wrench`` ``(B, 6)`` [N, N m], as in :class:`ppt_rl.envs.ArmEnv`.
         """
         observation = {key: sensors[:, part] for key, part in self.slices.items()}
         observation["wrench"] = self._wrench(sensors, observation["pose"][:, 3:])
         return observation
 
     def _wrench(self, sensors: Tensor, orientation: Tensor) -> Tensor:
-        """Wrench on the world, world axes, from wrist force and torque: the tool's weight is taken off."""
+        """Wrench on the world in world axes: wrist force and torque with the tool's weight subtracted."""
         local = sensors[:, self._force].unflatten(-1, (2, 3))
         com = self._com.expand(len(sensors), 1, 3)
         turned = quat_rotate(orientation.unsqueeze(1), torch.cat([local, com], 1))

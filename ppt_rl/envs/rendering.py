@@ -1,4 +1,4 @@
-"""Pictures of a scene, off screen."""
+"""Off-screen pictures of a scene."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ __all__ = ["RenderedScenes", "SceneRenderer", "require_rendering"]
 
 
 def require_rendering() -> None:
-    """Raise where nothing can be rendered.
+    """Raise an error on a machine that cannot render.
 
     Raises:
         RuntimeError: if no OpenGL library is found.
     """
     if rendering_backend() == "disable":
         raise RuntimeError(
-            "rendering needs an OpenGL library and none was found; install EGL or OSMesa "
+            "rendering needs an OpenGL library, and none was found. Install EGL or OSMesa "
             "(Debian and Ubuntu: apt-get install libegl1 or libosmesa6)."
         )
 
 
 class SceneRenderer:
-    """A scene with its looks, which the physics models do without.
+    """A scene with its looks, which the models of the physics leave out.
 
     Args:
         scene: ``dm_control.mjcf.RootElement``.
@@ -40,7 +40,7 @@ class SceneRenderer:
         self.physics = mjcf.Physics.from_mjcf_model(scene)
 
     def show(self, state: NDArray[np.float64]) -> None:
-        """Put the physics into a state.
+        """Put the scene into a state.
 
         Args:
             state: full physics state (``mjSTATE_FULLPHYSICS``).
@@ -50,7 +50,7 @@ class SceneRenderer:
         mujoco.mj_forward(model, data)
 
     def picture(self, camera: str, width: int, height: int) -> NDArray[np.uint8]:
-        """Picture of the present state.
+        """Render the present state.
 
         Args:
             camera: name of a camera of the scene.
@@ -71,7 +71,7 @@ class SceneRenderer:
 
 
 class RenderedScenes:
-    """What an environment shows of itself: mixed into one that has a scene, an engine and parameters of its own."""
+    """Mixin that renders environments, for a class with a scene, an engine and parameters written for each episode."""
 
     num_envs: int
     engine: Any
@@ -80,13 +80,13 @@ class RenderedScenes:
     _rendered: SceneRenderer | None = None
 
     def physics(self, index: int = 0) -> Any:
-        """A ``dm_control`` Physics with looks, in the state of environment ``index``. The next call reuses it.
+        """A ``dm_control`` Physics of the scene with its looks, in the state of one environment.
 
         Args:
             index: environment index.
 
         Returns:
-            The physics. Changing it does not change the environment.
+            The physics. Changing it does not change the environment. The next call returns the same object.
 
         Raises:
             IndexError: if there is no such environment.
@@ -96,7 +96,7 @@ class RenderedScenes:
     def render(
         self, index: int = 0, *, camera: str = "overview", width: int = 640, height: int = 480
     ) -> NDArray[np.uint8]:
-        """Picture of one environment, rendered off screen.
+        """Render one environment off screen.
 
         Args:
             index: environment index.
@@ -109,13 +109,14 @@ class RenderedScenes:
 
         Raises:
             ValueError: if the scene has no such camera.
+            IndexError: if there is no such environment.
             RuntimeError: if no OpenGL library is found.
         """
         require_rendering()
         return self._showing(index).picture(camera, width, height)
 
     def _showing(self, index: int) -> SceneRenderer:
-        """The scene with its looks, with the parameters and in the state of environment ``index``."""
+        """The scene with the parameters and in the state of environment ``index``."""
         if not 0 <= index < self.num_envs:
             raise IndexError(f"environment {index} of {self.num_envs}; expected 0 to {self.num_envs - 1}.")
         if self._rendered is None:

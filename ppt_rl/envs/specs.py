@@ -9,37 +9,37 @@ __all__ = ["SpecMaker"]
 
 
 class SpecMaker:
-    """Makes specs of one batch size, precision and device.
+    """Makes specs that share their batch size, precision and device.
 
     Args:
         batch_size: leading shape of every spec.
-        dtype: of real numbers.
-        device: of everything.
+        dtype: precision of real numbers.
+        device: device of every spec.
     """
 
     def __init__(self, batch_size: torch.Size, dtype: torch.dtype, device: torch.device) -> None:
         self.batch_size, self.dtype, self.device = batch_size, dtype, device
 
     def real(self, *shape: int) -> Unbounded:
-        """Real numbers.
+        """Spec of unbounded real numbers.
 
         Args:
-            *shape: after the batch.
+            *shape: shape after the batch.
         """
         return Unbounded(shape=(*self.batch_size, *shape), dtype=self.dtype, device=self.device)
 
     def flag(self, size: int = 1) -> Binary:
-        """Booleans.
+        """Spec of booleans.
 
         Args:
-            size: how many.
+            size: how many for each environment.
         """
         return Binary(n=size, shape=(*self.batch_size, size), dtype=torch.bool, device=self.device)
 
     def nest(self, **specs: Unbounded | Binary | Composite) -> Composite:
-        """A composite.
+        """Composite of specs.
 
         Args:
-            **specs: its entries.
+            **specs: the entries by name.
         """
         return Composite(specs, shape=self.batch_size, device=self.device)

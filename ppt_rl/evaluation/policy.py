@@ -10,7 +10,6 @@ from typing import Any
 from torch import nn
 from torchrl.envs import EnvBase, ExcludeTransform, TransformedEnv
 
-from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.episodes import ZeroPolicy
 from ppt_rl.evaluation.published import is_pretrained, load_pretrained, pretrained_card, published_policies
 from ppt_rl.evaluation.recipe import Recipe, find_recipe
@@ -78,7 +77,7 @@ class Policy:
         Returns:
             The environment.
         """
-        env = self.recipe.on(self._bare(num_envs, seed, audit, given), self.config, self.modules)
+        env = self.recipe.make_env(self.config, self.modules, num_envs=num_envs, seed=seed, audit=audit, given=given)
         return env if privileged else env.append_transform(ExcludeTransform(*self.recipe.task.privileged))
 
     def baselines(self) -> list[str]:
@@ -108,10 +107,9 @@ class Policy:
             raise ValueError(f"baseline {name!r} is unknown for {self.variant}; expected one of {self.baselines()}.")
         if name == REFERENCE_ALONE:
             return self.make_env(num_envs, seed=seed, audit=audit, given=given), ZeroPolicy(self.actor)
-        return self.recipe.task.baselines[name](self, self._bare(num_envs, seed, audit, given))
-
-    def _bare(self, num_envs: int, seed: int | None, audit: bool, given: Sequence[Any]) -> ArmEnv:
-        return self.recipe.task.make_test_env(self.config, num_envs=num_envs, seed=seed, audit=audit, given=given)
+        task = self.recipe.task
+        base = task.make_test_env(self.config, num_envs=num_envs, seed=seed, audit=audit, given=given)
+        return task.baselines[name](self, base)
 
 
 def restored_config(recipe: Recipe, settings: Mapping[str, Any], source: Path) -> Any:
@@ -157,8 +155,7 @@ def load_policy(source: str | Path, *, recipe: str | Path | None = None) -> Poli
         raise CheckpointMismatch(f"{path} is of variant {info['variant']!r}; the recipe makes {found.variant!r}.")
     config = restored_config(found, info["config"], path)
     modules = found.make_modules(config)
-    base = found.task.make_test_env(config, num_envs=1, seed=config.seed, audit=False)
-    env = found.on(base, config, modules)
+    env = found.make_env(config, modules, num_envs=1)
     actor, _ = found.make_policy(config, env)
     env.close()
     (load_pretrained if published else load_checkpoint)(path, {"actor": actor, **modules})

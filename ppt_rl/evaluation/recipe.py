@@ -7,7 +7,7 @@ import importlib.util
 import inspect
 import pkgutil
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,6 +92,32 @@ class Recipe:
             The environment.
         """
         return TransformedEnv(base, Compose(*self.make_chain(config, base, **modules)))
+
+    def make_env(
+        self,
+        config: Any,
+        modules: Mapping[str, nn.Module],
+        *,
+        num_envs: int,
+        seed: int | None = None,
+        audit: bool = False,
+        given: Sequence[Any] = (),
+    ) -> TransformedEnv:
+        """The environment of the test with the chain of this recipe.
+
+        Args:
+            config: options.
+            modules: what :attr:`make_modules` returned.
+            num_envs: number of environments that step together.
+            seed: seed of the episodes; None draws one.
+            audit: whether power and work are measured at the rate of the physics.
+            given: episodes to run in turn, in the task's own form, instead of random ones.
+
+        Returns:
+            The environment.
+        """
+        base = self.task.make_test_env(config, num_envs=num_envs, seed=seed, audit=audit, given=given)
+        return self.on(base, config, modules)
 
     def train(self, config: Any) -> Path:
         """Train in ``config.run_dir``, afresh or from its newest checkpoint.

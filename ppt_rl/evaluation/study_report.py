@@ -52,7 +52,7 @@ def write_report(runs: Sequence[KeptRun], directory: Path) -> None:
 
     Args:
         runs: finished runs of one task.
-        directory: where to.
+        directory: target directory.
     """
     groups, task = by_label(runs), runs[0].recipe.task
     tables = _tables(groups)
@@ -93,11 +93,12 @@ def _head(groups: Groups) -> str:
 
 
 def _tables(groups: Groups) -> dict[str, list[Table]]:
-    """Rows of every seed by label, then those of the baselines of the first variant that has any."""
+    """Rows of every seed by label, then those of the baselines; several variants may have the same."""
     tables = {label: [run.episodes() for run in runs] for label, runs in groups.items()}
-    for runs in groups.values():
-        for actor in runs[0].actors()[1:]:
-            tables.setdefault(actor, [runs[0].episodes(actor)])
+    baselines = [(actor, runs[0]) for runs in groups.values() for actor in runs[0].actors()[1:]]
+    names = [actor for actor, _ in baselines]
+    for actor, run in baselines:
+        tables[actor if names.count(actor) == 1 else f"{actor}, {run.recipe.label}"] = [run.episodes(actor)]
     return tables
 
 

@@ -1,4 +1,4 @@
-"""The laws of the library as pure functions of tensors."""
+"""The library's control laws and metrics as pure functions of tensors."""
 
 from ppt_rl.functional.contact import WallTouch
 from ppt_rl.functional.contact_via_point import ViaPointConfig

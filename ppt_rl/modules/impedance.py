@@ -13,26 +13,26 @@ from ppt_rl.functional.impedance import cartesian_impedance, critical_damping
 
 __all__ = ["CartesianImpedanceController"]
 
-#: Spring of the default gains: stiff enough to track, soft enough to touch [N/m, N m/rad].
+#: Default stiffness: high enough to track a reference, low enough for contact [N/m, N m/rad].
 STIFFNESS = (400.0, 400.0, 400.0, 30.0, 30.0, 30.0)
 
 
 class CartesianImpedanceController(nn.Module):
-    r"""Wrench of a spring and damper between the end effector and a moving reference.
+    r"""Computes the wrench of a spring and a damper between the end effector and a moving reference.
 
     .. math:: \lambda = K\,[x_d - x;\ e_R] + D\,(\nu_d - \nu), \qquad D = 2\,\zeta\,\sqrt{K M}
 
-    per axis, in world axes, with ``M`` the apparent inertia, unless ``damping`` is given. Differentiable in everything.
+    for each world axis, where ``M`` is the apparent inertia. Everything is differentiable.
 
     Args:
-        stiffness: K, one number or 6 [N/m, N m/rad].
-        damping_ratio: zeta, one number or 6 [-].
-        damping: D, one number or 6 [N s/m, N m s/rad]; None derives it from the ratio.
-        inertia: M, 6 numbers [kg, kg m^2]: the arm's ``apparent_inertia``.
-        learnable: whether gains are parameters (their logarithms, so that they stay positive).
+        stiffness: K, one number or six [N/m, N m/rad].
+        damping_ratio: zeta, one number or six [-].
+        damping: D, one number or six [N s/m, N m s/rad]; None derives it from the damping ratio.
+        inertia: M, six numbers [kg, kg m^2]: the arm's ``apparent_inertia``; the default is the Panda's.
+        learnable: whether the gains are parameters; their logarithms are stored, so that they stay positive.
 
     Raises:
-        ValueError: if a gain is not positive or there are neither one nor six of them.
+        ValueError: if a gain is not positive, or has neither one nor six numbers.
 
     Source:
         Paper, eq. (5), with the orientation error corrected.
@@ -95,18 +95,19 @@ class CartesianImpedanceController(nn.Module):
         stiffness: Tensor | None = None,
         damping: Tensor | None = None,
     ) -> Tensor:
-        """Wrench towards the reference.
+        """Compute the wrench that drives the end effector towards the reference.
 
         Args:
             pose: ``(*B, 7)`` end-effector pose in world [m, -].
-            twist: ``(*B, 6)`` end-effector twist, world axes [m/s, rad/s].
-            reference_pose: ``(*B, 7)`` desired pose [m, -].
-            reference_twist: ``(*B, 6)`` desired twist [m/s, rad/s]; zero makes a moving arm lag.
-            stiffness: ``(*B, 6)`` instead of the controller's own.
-            damping: ``(*B, 6)`` instead of the one that follows from the stiffness.
+            twist: ``(*B, 6)`` end-effector twist in world axes [m/s, rad/s].
+            reference_pose: ``(*B, 7)`` desired pose in world [m, -].
+            reference_twist: ``(*B, 6)`` desired twist in world axes [m/s, rad/s]; with zero, the arm lags behind a
+                moving reference.
+            stiffness: ``(*B, 6)``, in place of the controller's own [N/m, N m/rad].
+            damping: ``(*B, 6)``, in place of the one derived from the stiffness [N s/m, N m s/rad].
 
         Returns:
-            ``(*B, 6)`` wrench applied by the robot, world axes, at the end-effector point [N, N m].
+            ``(*B, 6)`` wrench applied by the robot at the end-effector point, in world axes [N, N m].
 
         Raises:
             ValueError: if a last dimension is wrong.

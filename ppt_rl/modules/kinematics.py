@@ -33,13 +33,13 @@ def _offsets(arm: Arm, tool_length: float) -> Tensor:
     for matrix, offset in zip(offsets, arm.chain.offsets, strict=False):
         matrix[:3, :3] = _turn_x(offset.twist) @ _turn_z(offset.turn)
         matrix[:3, 3] = torch.tensor(offset.position, dtype=torch.float64)
-    offsets[-1, :3, :3] = _turn_z(arm.tool_turn)
+    offsets[-1, :3, :3] = _turn_z(arm.chain.tool_turn)
     offsets[-1, 2, 3] = arm.chain.flange + tool_length
     return offsets
 
 
 def _chain(arm: Arm, offsets: Tensor) -> pk.SerialChain:
-    """Serial chain of the joints and the tool, through the Frame, Link and Joint classes."""
+    """The serial chain of joints and tool, built through pytorch-kinematics' Frame, Link and Joint classes."""
     f64 = torch.float64
     base = Frame("base", link=Link("base"), joint=Joint("base_fixed", dtype=f64))
     parent = base
@@ -56,13 +56,13 @@ def _chain(arm: Arm, offsets: Tensor) -> pk.SerialChain:
 class Kinematics(nn.Module):
     """Pose and Jacobian of an arm's end-effector point as differentiable functions of joint position.
 
-    The base frame is the world frame. The end-effector point lies ``tool_length`` beyond the flange along its axis.
-    Below, ``n`` is the arm's number of joints.
+    The base frame is the world frame. The end-effector point lies ``tool_length`` beyond the flange along its axis. In
+    the shapes below, ``n`` is the number of joints.
 
     Args:
-        arm: the arm. ``env.arm`` gives an environment's.
-        tool_length: distance from flange to end-effector point [m]. ``env.tool_length`` gives an environment's.
-        dtype: precision of the kinematic constants. Inputs are cast to it.
+        arm: the arm; an environment's is ``env.arm``.
+        tool_length: distance from flange to end-effector point [m]; an environment's is ``env.tool_length``.
+        dtype: precision of the kinematic constants, to which inputs are cast.
 
     Examples:
         >>> from ppt_rl.arms import PANDA
@@ -78,7 +78,7 @@ class Kinematics(nn.Module):
         super().__init__()
         self.arm = arm
         self.tool_length = float(tool_length)
-        # Follows `.to()` so that the constants, exact in float64, can follow it too.
+        # `.to()` moves this buffer, and the constants, which are exact in float64, are then built anew to match it.
         self.register_buffer("_anchor", torch.zeros((), dtype=dtype), persistent=False)
         self._build()
 
@@ -89,13 +89,13 @@ class Kinematics(nn.Module):
         self._offsets = offsets.to(self._anchor)
 
     def forward(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
-        """Pose and Jacobian together.
+        """Compute pose and Jacobian together.
 
         Args:
             joint_position: ``(*B, n)`` [rad].
 
         Returns:
-            ``(*B, 7)`` pose in world [m, -] and ``(*B, 6, n)`` geometric Jacobian, linear rows first, world axes.
+            Pose ``(*B, 7)`` in world [m, -], and geometric Jacobian ``(*B, 6, n)`` in world axes, linear rows first.
 
         Raises:
             ValueError: if the last dimension is not n.
@@ -105,30 +105,33 @@ class Kinematics(nn.Module):
         return pose, jacobian
 
     def jacobian(self, joint_position: Tensor) -> Tensor:
-        """Geometric Jacobian: ``twist = J joint_velocity``.
+        """Compute the geometric Jacobian J, with ``twist = J joint_velocity``.
 
         Args:
             joint_position: ``(*B, n)`` [rad].
 
         Returns:
-            ``(*B, 6, n)``, linear rows first, world axes, at the end-effector point.
+            ``(*B, 6, n)`` in world axes, linear rows first, at the end-effector point.
+
+        Raises:
+            ValueError: if the last dimension is not n.
         """
         return self._jacobian_and_matrix(joint_position)[0]
 
     def inverse(self, pose: Tensor, guess: Tensor, iterations: int = 60, damping: float = 0.1) -> Tensor:
-        """Joint position that reaches ``pose``, by damped Gauss-Newton from ``guess``.
+        """Find a joint position that reaches ``pose``, by damped Gauss-Newton steps from ``guess``.
 
         Args:
-            pose: ``(*B, 7)`` wanted pose in world [m, -].
+            pose: ``(*B, 7)`` desired pose in world [m, -].
             guess: ``(*B, n)`` joint position to start from [rad]; the solution found is near it.
-            iterations: number of steps.
-            damping: of the least-squares step [-].
+            iterations: largest number of steps.
+            damping: damping of the least-squares steps [-].
 
         Returns:
-            ``(*B, n)`` joint position [rad].
+            ``(*B, n)`` joint position within the arm's limits [rad].
 
         Raises:
-            ValueError: if a pose is not reached within 0.1 mm and 0.1 mrad inside the joint limits.
+            ValueError: if a pose is not reached within 0.1 mm and 0.1 mrad.
         """
         position = guess.clone()
         low, high = position.new_tensor(self.arm.joints.position_limits).unbind(-1)
@@ -148,7 +151,7 @@ class Kinematics(nn.Module):
         if bool(missed.any()):
             raise ValueError(
                 f"no joint position found for {int(missed.sum())} of the poses (error up to "
-                f"{float(error.abs().amax()):.3g}); expected poses within the arm's reach, near the guess."
+                f"{float(error.abs().amax()):.3g}); expected poses that {self.arm.name} reaches near the guess."
             )
         return position
 
@@ -163,10 +166,11 @@ class Kinematics(nn.Module):
         return jacobian.reshape(*batch, 6, count), matrix.reshape(*batch, 4, 4)
 
     def _frames(self, joint_position: Tensor) -> Tensor:
-        """``(n + 2, B, 4, 4)`` poses of base, links and tool in world, the order of the chain.
+        """``(n + 2, B, 4, 4)`` poses in world of the base, the links and the tool, in this order.
 
-        The product along the chain is written out for joints about z: the chain's own forward kinematics walks a
-        general tree frame by frame, at four times the cost, and its analytical gradient has a wrong double backward.
+        The product along the chain is written out for joints about z. The chain's own forward kinematics walks a
+        general tree, frame by frame, at four times the cost, and the double backward of its analytical gradient is
+        wrong.
         """
         batch, count = joint_position.shape
         angle = joint_position.mT.unsqueeze(-1)  # (n, B, 1)

@@ -20,7 +20,7 @@ HALF_BIN = 10 ** (0.5 * 4 / 256) - 1
 
 
 def along_x(values: Tensor) -> Tensor:
-    """Six columns, the first of which holds ``values``."""
+    """Six columns: ``values``, and five of zeros."""
     return torch.nn.functional.pad(values.unsqueeze(-1), (0, 5))
 
 
@@ -40,7 +40,7 @@ def measure(twist: Tensor, wrench: Tensor, power: Tensor | None = None, **kwargs
 
 
 def filtered(x: np.ndarray) -> np.ndarray:
-    """SciPy's low-pass, at rest at the first sample."""
+    """SciPy's low-pass filter, in its steady state at the first sample."""
     return signal.lfilter(B, A, x, axis=0, zi=signal.lfilter_zi(B, A)[:, None] * x[:1])[0]
 
 
@@ -132,14 +132,14 @@ def test_max_power_is_commanded_and_max_power_measured_is_that_of_wrench_and_twi
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.002])
-def test_work_is_the_size_of_the_commanded_power_summed_over_time(dt):
+def test_work_is_the_absolute_commanded_power_summed_over_time(dt):
     power = torch.tensor([0.5, -4.0, 3.0, 0.0], dtype=F64).repeat(10).unsqueeze(-1)
     still = torch.zeros(40, 6, dtype=F64)
     out = measure(still, still, power, dt=dt)
     assert out["work"].item() == pytest.approx(10 * (0.5 + 4.0 + 3.0) * dt)
 
 
-def test_braking_is_work_so_a_sinusoidal_power_does_the_work_of_its_size():
+def test_braking_is_work_so_a_sinusoidal_power_does_the_work_of_its_absolute_value():
     t = torch.arange(1000, dtype=F64) * DT  # ten periods in ten seconds
     power = (1.5 * torch.sin(2 * math.pi * t)).unsqueeze(-1)
     still = torch.zeros(1000, 6, dtype=F64)
@@ -162,12 +162,12 @@ def contact(force: list[float]) -> float:
     return measure(torch.zeros_like(wrench), wrench, config=MetricsConfig(cutoff=49.9))["contact_continuity"].item()
 
 
-def test_uninterrupted_contact_has_continuity_one_wherever_it_lies():
+def test_uninterrupted_contact_has_continuity_one_whenever_it_happens():
     assert contact([5.0] * 10) == 1.0
     assert contact([0.0] * 5 + [5.0] * 10) == 1.0
 
 
-def test_contact_that_is_gone_half_of_the_time_between_first_and_last_touch():
+def test_contact_for_half_of_the_time_between_first_and_last_touch_has_continuity_one_half():
     assert contact([0.0] * 3 + ([5.0] * 4 + [0.0] * 8 + [5.0] * 4) + [0.0] * 3) == pytest.approx(0.5)
 
 
@@ -180,8 +180,8 @@ def test_one_touch_has_continuity_one():
     assert contact([0.0, 0.0, 5.0, 0.0, 0.0]) == 1.0
 
 
-def test_every_number_of_the_summary_has_a_place_of_its_own_in_the_memory():
-    # Each quantity is driven alone: then it, and what it also defines, is all that differs from an episode of nothing.
+def test_the_quantities_of_the_summary_do_not_share_memory():
+    # Each input drives its own quantities and no others.
     steps, still = 20, torch.zeros(20, 6, dtype=F64)
     shake, push = along_x(torch.arange(20, dtype=F64) % 2), along_x(torch.full((20,), 3.0, dtype=F64))
     turn = torch.nn.functional.pad(torch.full((steps, 1), 3.0, dtype=F64), (3, 2))  # steady, about an axis
@@ -208,7 +208,7 @@ def test_batched_rows_equal_single_episodes(batch):
         assert value.shape == (*batch, 1)
 
 
-def test_rows_that_begin_later_equal_episodes_of_their_own():
+def test_rows_that_restart_later_equal_separate_episodes():
     twist, wrench, power = normal(40, 2, 6), 3 * normal(40, 2, 6, seed=1), normal(40, 2, 1, seed=2)
     memory = begin_metrics(twist[0], wrench[0], CONFIG, dt=DT)
     for i in range(40):
@@ -220,7 +220,7 @@ def test_rows_that_begin_later_equal_episodes_of_their_own():
     assert_close(memory[1], run(twist[15:, 1], wrench[15:, 1], power[15:, 1]))
 
 
-def test_update_leaves_the_old_memory_alone():
+def test_an_update_does_not_change_the_old_memory():
     memory = begin_metrics(torch.ones(6), torch.ones(6), CONFIG, dt=DT)
     before = memory.clone()
     update_metrics(memory, torch.zeros(6), torch.zeros(6), torch.ones(1), CONFIG, dt=DT)

@@ -1,4 +1,4 @@
-"""MJCF models of an arm, its tools and the table, composed with ``dm_control.mjcf``. No file is read."""
+"""MJCF models of an arm, its tools and the table, composed with ``dm_control.mjcf`` from numbers alone."""
 
 from ppt_rl.envs.models.arm import CYLINDER, PADDLE, Tool, arm_model, attach_tool, remove_visual_geoms
 from ppt_rl.envs.models.table import table_scene

@@ -1,4 +1,4 @@
-"""MJCF of an arm, with primitive shapes for looks, and the tools on its flange."""
+"""MJCF of an arm, shown by primitive shapes, and of the tool on its flange."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _PLA = 1240.0
 
 @dataclass(frozen=True)
 class Tool:
-    """A rigid tool: a stem along the flange axis, which ends in a cross-bar or by itself.
+    """A rigid tool: a stem along the flange's axis, with or without a crossbar at its end.
 
     Attributes:
-        length: flange to end-effector point, the centre of the bar or of the stem's end [m].
-        stem_radius: [m].
-        bar: size of the bar across, along and up the tool's x, y, z axes [m]; None for a stem alone.
+        length: distance from the flange to the end-effector point, the centre of the bar or of the stem's end [m].
+        stem_radius: radius of the stem [m].
+        bar: size of the bar along the tool's x, y and z axes [m]; None for a stem alone.
     """
 
     length: float
@@ -32,7 +32,7 @@ class Tool:
 
     @property
     def half_thickness(self) -> float:
-        """From the tool's axis to its face along x [m]."""
+        """Distance from the tool's axis to its face along x [m]."""
         return self.stem_radius if self.bar is None else 0.5 * self.bar[0]
 
 
@@ -52,15 +52,15 @@ def _add_shells(body: Any, arm: Arm, link: int) -> None:
 
 
 def arm_model(arm: Arm) -> Any:
-    """MJCF of an arm: hinges, motors, gravity compensation, joint sensors. It carries no collision geometry.
+    """Build the MJCF of an arm with hinges, motors, joint sensors and gravity compensation, but no collision geometry.
 
     Args:
         arm: the arm.
 
     Returns:
-        A ``dm_control.mjcf.RootElement`` with the bodies ``link0`` (the base) to ``link{n}`` (which carries the
-        flange), the joints ``joint{i}``, the motors ``motor{i}`` and the sensors ``joint_position{i}`` and
-        ``joint_velocity{i}``, counted from 1.
+        A ``dm_control.mjcf.RootElement``. Its bodies are ``link0`` (the base) to ``link{n}`` (which carries the
+        flange). Joints ``joint{i}``, motors ``motor{i}`` and sensors ``joint_position{i}`` and ``joint_velocity{i}``
+        are counted from 1.
     """
     root = mjcf.RootElement(model=arm.name)
     root.compiler.angle = "radian"
@@ -92,7 +92,7 @@ def _orientation(twist: float, turn: float) -> list[float]:
 
 
 def remove_visual_geoms(root: Any) -> None:
-    """Drop every geom that cannot collide: a quarter of the physics' time goes into moving them along.
+    """Remove every geom that cannot collide; moving them along would take a quarter of the time of the physics.
 
     Args:
         root: the model, changed in place.
@@ -103,14 +103,14 @@ def remove_visual_geoms(root: Any) -> None:
 
 
 def attach_tool(root: Any, arm: Arm, tool: Tool) -> Any:
-    """Put ``tool`` on the flange of an arm from :func:`arm_model`, with its frame and sensors.
+    """Put a tool with its sensors on the flange of an arm.
 
-    The site ``end_effector`` is the end-effector point, z along the flange axis. Pose and twist are in world axes; the
-    force and torque sensors give what the arm applies to the tool, in the site's axes (the environment turns them to
-    world axes and takes the tool's weight off).
+    The site ``end_effector`` marks the end-effector point; its z axis is the flange's. The sensors of pose and twist
+    use world axes. The sensors of force and torque give what the arm applies to the tool, in the site's axes
+    (:class:`ppt_rl.envs.readings.ArmReadings` turns them into world axes and subtracts the tool's weight).
 
     Args:
-        root: the arm's model, changed in place.
+        root: the model of :func:`arm_model`, changed in place.
         arm: the arm.
         tool: the tool.
 
@@ -118,7 +118,7 @@ def attach_tool(root: Any, arm: Arm, tool: Tool) -> Any:
         The tool's body element.
     """
     body = root.find("body", f"link{arm.num_joints}").add(
-        "body", name="tool", pos=[0, 0, arm.chain.flange], quat=_orientation(0.0, arm.tool_turn), gravcomp=1
+        "body", name="tool", pos=[0, 0, arm.chain.flange], quat=_orientation(0.0, arm.chain.tool_turn), gravcomp=1
     )
     common: dict[str, Any] = {"rgba": _TOOL, "density": _PLA, "contype": 1, "conaffinity": 0, "group": 1}
     stem_end = tool.length - (0.0 if tool.bar is None else 0.5 * tool.bar[2])

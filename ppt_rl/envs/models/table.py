@@ -1,4 +1,4 @@
-"""A table with light and cameras around the arm and its tool."""
+"""MJCF of a table with an arm on it, lights and cameras."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _add_looks(root: Any) -> None:
 
 
 def _add_table(world: Any) -> None:
-    # A plane carries the contacts (box against plane costs half of box against box), a slab the looks.
+    # Contacts are with a plane, since box against plane costs half as much as box against box. The slab is for looks.
     world.add("geom", name="table", type="plane", size=[0.55, 0.45, 0.1], contype=4, conaffinity=0, group=4)
     world.add(
         "geom", name="slab", type="box", pos=[0.35, 0, -0.0201], size=[0.55, 0.45, 0.02], rgba=[0.80, 0.76, 0.69, 1],
@@ -51,7 +51,7 @@ def _add_table(world: Any) -> None:
 
 
 def table_scene(arm: Arm, tool: Tool = PADDLE, *, physics_dt: float = 0.0005) -> Any:
-    """MJCF of an arm with a tool over a table, and nothing else to touch. The table top is z = 0.
+    """Build the MJCF of an arm with a tool over an empty table, whose top is z = 0.
 
     Args:
         arm: the arm; its base stands on the table, at the origin.
@@ -63,10 +63,10 @@ def table_scene(arm: Arm, tool: Tool = PADDLE, *, physics_dt: float = 0.0005) ->
     """
     root = arm_model(arm)
     root.option.timestep = physics_dt
-    # No joint damping, so nothing for an implicit integrator to do: Euler is the faster one.
+    # An implicit integrator gains nothing without joint damping, and Euler is faster.
     root.option.integrator = "Euler"
-    # The pyramid's friction points along an axis of the contact frame, not against the motion: it carries a pushed box
-    # 4 cm sideways on its way. The cone does not.
+    # A pyramidal cone's friction points along an axis of the contact frame rather than against the motion, and so
+    # carries a pushed box 4 cm sideways.
     root.option.cone = "elliptic"
     _add_looks(root)
     world = root.worldbody
@@ -85,7 +85,7 @@ _CAMERAS = (
 
 
 def _look_at(eye: tuple[float, float, float], target: tuple[float, float, float]) -> list[float]:
-    """``xyaxes`` of a camera at ``eye`` that looks at ``target`` with world z up."""
+    """The ``xyaxes`` of a camera at ``eye`` that looks at ``target``, with z up."""
     forward = [t - e for t, e in zip(target, eye, strict=True)]
     right = [forward[1], -forward[0], 0.0]
     up = [

@@ -1,4 +1,4 @@
-"""Engines that step a batch of models: one interface, :class:`PhysicsEngine`."""
+"""Engines that step a batch of models, behind one interface: :class:`PhysicsEngine`."""
 
 from ppt_rl.envs.physics.base import PhysicsEngine, PhysicsStep, substeps_per_control_step
 from ppt_rl.envs.physics.config import EngineConfig

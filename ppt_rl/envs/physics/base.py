@@ -1,4 +1,4 @@
-"""What an environment asks of a physics engine."""
+"""The interface between an environment and its physics engine."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ Array = NDArray[np.float64]
 
 
 class PhysicsStep(NamedTuple):
-    """Result of one control step of R environments.
+    """The result of one control step of R environments.
 
     Attributes:
-        sensors: ``(R, substeps, S)`` readings; substep ``k`` is read at its beginning. Valid until the next step.
-        diverged: ``(R,)`` True where the state blew up; such a row keeps the state it had before the step.
+        sensors: ``(R, substeps, S)`` readings, each taken at the beginning of its substep; valid until the next step.
+        diverged: ``(R,)`` True where the state blew up; such an environment keeps the state it had before the step.
     """
 
     sensors: Array
@@ -25,37 +25,37 @@ class PhysicsStep(NamedTuple):
 
 
 class PhysicsEngine(Protocol):
-    """Steps ``num_envs`` models of one topology, each with parameters of its own."""
+    """Steps ``num_envs`` models that share their structure but not their parameters."""
 
     num_envs: int
     models: list[Any]
 
     def reset(self, rows: NDArray[np.int64], joint_position: Array) -> Array:
-        """Put rows at rest in a configuration, after their models were changed.
+        """Put environments at rest at given positions, after their models were changed.
 
         Args:
             rows: ``(R,)`` environment indices.
             joint_position: ``(R, nq)`` generalised positions (``qpos``).
 
         Returns:
-            ``(R, S)`` sensor readings there.
+            ``(R, S)`` sensor readings in the new state.
         """
         ...
 
     def step(self, control: Array, rows: NDArray[np.int64] | None = None) -> PhysicsStep:
-        """Advance by one control step with the control held.
+        """Advance by one control step, with the control held constant.
 
         Args:
-            control: ``(R, nu)`` actuator input.
-            rows: ``(R,)`` environment indices; None means all.
+            control: ``(R, nu)`` inputs of the actuators.
+            rows: ``(R,)`` environment indices; None steps all.
 
         Returns:
-            Sensor readings of all substeps and the divergence flags.
+            The sensor readings of all substeps, and which environments diverged.
         """
         ...
 
     def state(self, row: int) -> Array:
-        """Full physics state of one environment (``mjSTATE_FULLPHYSICS``)."""
+        """The full physics state of environment ``row`` (``mjSTATE_FULLPHYSICS``)."""
         ...
 
 
@@ -63,14 +63,14 @@ def substeps_per_control_step(control_dt: float, physics_dt: float) -> int:
     """Number of physics steps in a control step.
 
     Args:
-        control_dt: [s].
-        physics_dt: [s].
+        control_dt: time between actions [s].
+        physics_dt: time step of the physics [s].
 
     Returns:
         ``control_dt / physics_dt``, a whole number of at least 1.
 
     Raises:
-        ValueError: if either is not positive or the first is no multiple of the second.
+        ValueError: if a time step is not positive or ``control_dt`` is no multiple of ``physics_dt``.
     """
     if physics_dt <= 0 or control_dt <= 0:
         raise ValueError(f"physics_dt={physics_dt} s and control_dt={control_dt} s; expected both above 0.")
@@ -78,6 +78,6 @@ def substeps_per_control_step(control_dt: float, physics_dt: float) -> int:
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
         raise ValueError(
             f"control_dt={control_dt} s is {ratio:.6g} times physics_dt={physics_dt} s; expected a whole number. "
-            f"Take for instance physics_dt={control_dt / max(1, round(ratio)):.12g}."
+            f"Set, for instance, physics_dt={control_dt / max(1, round(ratio)):.12g}."
         )
     return round(ratio)

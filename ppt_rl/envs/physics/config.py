@@ -15,7 +15,7 @@ class EngineConfig:
 
     Attributes:
         physics_dt: time step of the physics [s]; it must divide the environment's ``control_dt``.
-        num_threads: physics threads; None takes one for each CPU. The number never changes a result.
+        num_threads: threads of the physics; None takes one for each CPU. The number never changes a result.
         audit: whether power and work are measured at the rate of the physics (:mod:`ppt_rl.envs.audit`).
 
     Raises:
@@ -27,7 +27,7 @@ class EngineConfig:
     audit: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a time step or a number of threads that cannot be."""
+        """Refuse an impossible time step or number of threads."""
         require_positive("physics_dt", self.physics_dt, "s")
         if self.num_threads is not None and self.num_threads < 1:
             raise ValueError(f"num_threads is {self.num_threads}; expected at least 1, or None for one for each CPU.")

@@ -1,4 +1,4 @@
-"""MuJoCo on a native thread pool: ``mujoco.rollout`` with one model per environment."""
+"""MuJoCo on a native thread pool: ``mujoco.rollout`` with one model for each environment."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
 class ThreadedPhysics:
-    """Threaded CPU engine. The interpreter lock is released while the threads work.
+    """An engine on CPU threads, which run without Python's global interpreter lock.
 
     Args:
         model: compiled model; every environment gets a copy.
         num_envs: number of environments.
-        substeps: physics steps per control step.
-        num_threads: threads of the pool; None takes one per CPU this process may run on. It never changes a result.
+        substeps: physics steps in a control step.
+        num_threads: threads of the pool; None takes one for each CPU that this process may use. The number never
+            changes a result.
     """
 
     def __init__(self, model: Any, num_envs: int, substeps: int, num_threads: int | None = None) -> None:
@@ -35,7 +36,7 @@ class ThreadedPhysics:
         self.models: list[Any] = [copy.copy(model) for _ in range(num_envs)]
         self._dt = model.opt.timestep
         self._data = [mujoco.MjData(model) for _ in range(max(1, self.num_threads))]
-        # The pool's thread count includes none of the caller: a single thread runs best without a pool.
+        # The pool does not count the calling thread, so one thread in all means no pool.
         self._pool = rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
         size = mujoco.mj_stateSize(model, _STATE)
         self._state = np.zeros((num_envs, size))
@@ -49,7 +50,7 @@ class ThreadedPhysics:
         sensors = np.empty((len(rows), self._sensors.shape[-1]))
         for k, row in enumerate(rows):
             model = self.models[row]
-            mujoco.mj_setConst(model, data)  # constants that follow from masses and sizes
+            mujoco.mj_setConst(model, data)  # recompute the constants that follow from masses and sizes
             mujoco.mj_resetData(model, data)
             data.qpos[:] = joint_position[k]
             mujoco.mj_forward(model, data)
@@ -68,7 +69,7 @@ class ThreadedPhysics:
             models, self._data, before, held, nstep=self.substeps, state=states, sensordata=sensors, skip_checks=True
         )
         after = states[:, -1]
-        # MuJoCo resets a state that blows up, and its clock with it: then the time is not what it should be.
+        # MuJoCo resets a state that blows up together with its clock, so a wrong time reveals it.
         late = np.abs(after[:, 0] - before[:, 0] - self.substeps * self._dt) > 0.5 * self._dt
         diverged = late | ~np.isfinite(after).all(-1) | ~np.isfinite(sensors[:, -1]).all(-1)
         if diverged.any():

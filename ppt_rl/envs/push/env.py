@@ -1,4 +1,4 @@
-"""Box pushing: a paddle moves a box over the table to a goal."""
+"""Box pushing: a paddle pushes a box over the table to a goal."""
 
 from __future__ import annotations
 
@@ -21,33 +21,37 @@ from ppt_rl.envs.specs import SpecMaker
 
 __all__ = ["PushEnv"]
 
-#: A box counts as flat when its vertical axis is within 10 degrees and its centre within 5 mm of lying [-], [m].
+#: A box lies flat if the cosine of its tilt is above the first (10 degrees) and its height is off by less than the
+#: second [-], [m].
 _FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
-#: Yaw of the paddle behind the box, as a share of the push's: the box stands square to the table, give or take, so in a
-#: steep push a paddle square to the push would meet a corner [-].
+#: Yaw of the paddle behind the box, as a share of the yaw of the push. The box is roughly aligned with the table, so in
+#: an oblique push a paddle at right angles to the push would hit a corner of the box [-].
 _APPROACH_YAW = 0.7
+#: Distance between paddle and box at the via-point behind the box [m].
+_APPROACH_GAP = 0.02
 
 
 class PushEnv(ArmEnv):
-    """Push a box to a goal within the horizon and leave it there, flat.
+    """Push a box to a goal before the episode ends, and leave it lying flat.
 
-    Success is judged at the end: the box's centre within ``success_radius`` of the goal, and flat. Adds to the
-    observations of :class:`ArmEnv`:
+    Success is judged at the end of the episode: the centre of the box must be within ``success_radius`` of the goal,
+    and the box must lie flat. The observations are those of :class:`ArmEnv` and
 
-    * ``box_pose`` 7 [m, -]: privileged, for critics; a policy for deployment leaves it out;
-    * ``box_start`` 2 and ``goal`` 2 [m], ``box_size`` 1 [m]: what is known at test time, fixed over an episode;
-    * ``via_phase`` 3, ``via_position`` (3, 3), ``via_cov`` (3, 3, 3), ``via_mask`` 3: via-points in (x, y, yaw) for the
-      reference: start of the tool, behind the box, goal minus the offset between tool and box centre;
-    * ``progress`` 1 in [0, 1] and ``success`` 1 (bool), and the reward groups under ``reward_terms``.
+    * ``box_pose`` 7 [m, -]: privileged, for critics; a policy for deployment does not read it;
+    * ``box_start`` 2 [m], ``goal`` 2 [m] and ``box_size`` 1 [m]: known at test time, constant in an episode;
+    * ``via_phase`` 3, ``via_position`` (3, 3), ``via_cov`` (3, 3, 3), ``via_mask`` 3: via-points (x, y, yaw) of a
+      reference push: start of the tool, behind the box, and touching the box at the goal;
+    * ``progress`` 1 in [0, 1]: share of the distance to the goal that is covered; ``success`` 1 (bool);
+    * ``reward_terms``: the reward groups of :mod:`ppt_rl.envs.push.rewards`, whose sum is the reward.
 
-    MuJoCo has one friction coefficient per contact: it takes the kinetic one, static friction is not modelled.
+    MuJoCo has one friction coefficient per contact. It is the kinetic one; static friction is not modelled.
 
     Args:
         num_envs: number of environments.
-        box_sizes: edges of the boxes to draw from [m]: 0.06, 0.08, or both.
-        randomisation: ranges of what is drawn.
-        rewards: weights of the reward groups.
-        success_radius: [m].
+        box_sizes: edge lengths to draw from [m]: 0.06, 0.08, or both.
+        randomisation: ranges of what is drawn for each episode.
+        rewards: weights of the reward terms.
+        success_radius: largest distance from box to goal that counts as success [m].
         **kwargs: as for :class:`ArmEnv`.
 
     Raises:
@@ -74,9 +78,9 @@ class PushEnv(ArmEnv):
     ) -> None:
         unknown = [size for size in box_sizes if size not in BOXES]
         if unknown or not box_sizes:
-            raise ValueError(f"box_sizes are {tuple(box_sizes)}; expected edges out of {tuple(BOXES)} m.")
+            raise ValueError(f"box_sizes are {tuple(box_sizes)}; expected one or more of {tuple(BOXES)} m.")
         if not success_radius > 0:
-            raise ValueError(f"success_radius is {success_radius}; expected a length above 0 m.")
+            raise ValueError(f"success_radius is {success_radius}; expected a distance above 0 m.")
         self.box_sizes = tuple(box_sizes)
         self.randomisation = PushRandomisation() if randomisation is None else randomisation
         self.rewards = PushRewards() if rewards is None else rewards
@@ -101,17 +105,10 @@ class PushEnv(ArmEnv):
             self._write_parameters(self.engine.models[row], int(row))
         pose = torch.tensor(self.start_pose, dtype=torch.float64).repeat(len(rows), 1)
         pose[:, :2] = torch.from_numpy(drawn["tool"])
-        arm = self._arm_position(pose).numpy()
-        half = 0.5 * drawn["yaw"]
-        size = drawn["size"]
-        box = [
-            drawn["box"],
-            0.5 * size[:, None],
-            np.cos(half)[:, None],
-            np.zeros((len(rows), 2)),
-            np.sin(half)[:, None],
-        ]
-        return np.concatenate([arm, *box], -1)
+        half_yaw = 0.5 * drawn["yaw"][:, None]
+        height, zeros = 0.5 * drawn["size"][:, None], np.zeros((len(rows), 2))
+        box = [drawn["box"], height, np.cos(half_yaw), zeros, np.sin(half_yaw)]  # position and quaternion
+        return np.concatenate([self._arm_position(pose).numpy(), *box], -1)
 
     def _write_parameters(self, model: Any, row: int) -> None:
         half, mass, friction = (float(self._episode.physical[key][row]) for key in ("half", "mass", "friction"))
@@ -127,7 +124,7 @@ class PushEnv(ArmEnv):
         tool = self._sensors[:, self._readings.slices["pose"]]
         distances = self._distances(box, tool)
         episode.begin(rows, distances)
-        episode.via_position[rows] = self._via_points(tool)[rows]
+        episode.replace(rows, via_position=self._via_points(tool)[rows])
         success = self._success(box, distances, self._elapsed >= self.horizon)
         return self._task_observation(box, zero_rewards(self.num_envs, self.dtype), distances, success)
 
@@ -181,20 +178,20 @@ class PushEnv(ArmEnv):
 
     def _is_flat(self, box: Tensor) -> Tensor:
         x, y = box[:, 4:5], box[:, 5:6]
-        upright = 1 - 2 * (x * x + y * y) > _FLAT_COSINE  # z axis of the box against the world's
+        upright = 1 - 2 * (x * x + y * y) > _FLAT_COSINE  # cosine of the angle between the box's and the world's z axis
         return upright & ((box[:, 2:3] - self._episode.half).abs() < _FLAT_HEIGHT)
 
     # -- observations -------------------------------------------------------------------------------------------------
 
     def _via_points(self, tool: Tensor) -> Tensor:
-        """``(num_envs, 3, 3)`` via-points (x, y, yaw): where the tool starts, behind the box, and at the goal."""
+        """``(num_envs, 3, 3)`` via-points (x, y, yaw): start of the tool, behind the box, at the goal [m, rad]."""
         episode = self._episode
-        way = episode.goal - episode.box_start
-        direction = way / way.norm(dim=-1, keepdim=True)
+        push = episode.goal - episode.box_start
+        direction = push / push.norm(dim=-1, keepdim=True)
         yaw = torch.atan2(direction[:, 1:], direction[:, :1])
-        offset = episode.half + self.tool.half_thickness  # box centre to bar centre in touch [m]
+        offset = episode.half + self.tool.half_thickness  # from the box's centre to the bar's when they touch [m]
         start = torch.cat([tool[:, :2], torch.zeros_like(yaw)], -1)
-        behind = torch.cat([episode.box_start - (offset + 0.02) * direction, _APPROACH_YAW * yaw], -1)
+        behind = torch.cat([episode.box_start - (offset + _APPROACH_GAP) * direction, _APPROACH_YAW * yaw], -1)
         end = torch.cat([episode.goal - offset * direction, yaw], -1)
         return torch.stack([start, behind, end], 1)
 

@@ -80,7 +80,7 @@ def test_approach_is_the_share_of_the_initial_distance_closed_in_the_step_until_
     assert_close(got, column(0.5 * 0.25, -0.5 * 0.25, 0.0))
 
 
-def test_a_tool_that_moves_back_after_a_touch_pays_nothing() -> None:
+def test_a_tool_that_moves_back_after_a_touch_is_not_penalised() -> None:
     assert approach(column(0.3), column(0.1), column(0.4), flags(True)) == 0
 
 

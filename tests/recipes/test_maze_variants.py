@@ -4,22 +4,28 @@ import json
 import math
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
 
-import evaluate
-import evaluate_maze
-import maze_difficulty
+import numpy as np
 import pytest
-import study
 import torch
-from registry import RECIPES, Policy, load_policy, recipe_of
 
 from ppt_rl.envs import MazeLayout, Straight, Turn
 from ppt_rl.envs.mujoco_imports import rendering_backend
-from ppt_rl.evaluation import record_episodes
-from ppt_rl.tasks.maze import fit_maze_prior, make_maze_env
-from ppt_rl.training import CheckpointMismatch, PPOConfig
+from ppt_rl.evaluation import (
+    Policy,
+    Study,
+    evaluate,
+    find_recipe,
+    load_policy,
+    record_episodes,
+    run_study,
+    run_sweep,
+    shipped_recipes,
+)
+from ppt_rl.evaluation.drawing import draw_policy
+from ppt_rl.recipes import ppo_ppt_maze
+from ppt_rl.tasks.maze import MAZE, fit_maze_prior, make_test_env, make_training_env
+from ppt_rl.training import CheckpointMismatch
 
 CONTROL = ["JointTorqueTransform", "EnergyTankTransform", "ImpedanceTransform", "EpisodeMetricsTransform"]
 CHAINS = {
@@ -30,35 +36,34 @@ CHAINS = {
     "st_maze": [*CONTROL, "HeadingFrameTransform", "CartesianVelocityTransform"],
 }  # fmt: skip
 variants = pytest.mark.parametrize("variant", sorted(CHAINS))
-
-
-def tiny(place: Path, **changes: Any) -> study.Config:
-    config = study.Config(
-        task="maze", seeds=1, runs=place / "runs", results=place / "results", pretrained=place / "pretrained",
-        episodes=2, num_envs=2, num_threads=1, total_control_steps=256, duration=0.4, physics_dt=0.002,
-    )  # fmt: skip
-    return replace(config, **changes)
+SETTINGS = {
+    "num_envs": "2", "num_threads": "1", "duration": "0.4", "training_duration": "0.4", "physics_dt": "0.002",
+    "ppo.total_control_steps": "256",
+}  # fmt: skip
+QUICK = {"duration": 0.4, "physics_dt": 0.002, "num_threads": 1}
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> study.Config:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Study:
     """A study of a few frames of both variants, its prior fitted to few demonstrations."""
-    config = tiny(tmp_path_factory.mktemp("maze"))
-    few = partial(fit_maze_prior, num_corridors=6)
+    place = tmp_path_factory.mktemp("maze")
+    study = Study(
+        [find_recipe(variant) for variant in CHAINS], seeds=1, runs=place / "runs", results=place / "results",
+        publish=place / "published", episodes=2, num_envs=2, settings=SETTINGS,
+    )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ppo_ppt_maze.fit_maze_prior", few)
-        patch.setattr("study_maze.fit_maze_prior", few)
-        study.main(config)
-    return config
+        patch.setattr(ppo_ppt_maze, "fit_maze_prior", partial(fit_maze_prior, num_corridors=6))
+        run_study(study)
+    return study
 
 
 @pytest.fixture(scope="module")
-def policies(finished: study.Config) -> dict[str, Policy]:
-    return {run.variant: load_policy(run.run_dir) for run in finished.planned()}
+def policies(finished: Study) -> dict[str, Policy]:
+    return {run.recipe.variant: load_policy(run.run_dir) for run in finished.planned()}
 
 
 def test_every_maze_recipe_is_tested():
-    assert sorted(CHAINS) == sorted(name for name in RECIPES if name.endswith("_maze"))
+    assert sorted(CHAINS) == sorted(name for name in shipped_recipes() if find_recipe(name).task is MAZE)
 
 
 @variants
@@ -73,11 +78,11 @@ def test_the_chain_is_the_list_of_the_recipe_and_only_the_test_hides_more(polici
 @variants
 def test_training_sees_straight_corridors_only_and_the_test_turns(policies, variant):
     policy = policies[variant]
-    training = policy.recipe.make_env(policy.config, *policy.modules.values(), num_envs=3, seed=1)
+    training = make_training_env(policy.config, num_envs=3, seed=1)
     test = policy.make_env(num_envs=3, seed=1)
     for _ in range(5):
         training.reset()
-        assert all(layout.is_straight for layout in training.base_env.layouts)
+        assert all(layout.is_straight for layout in training.layouts)
     test.reset()
     assert not any(layout.is_straight for layout in test.base_env.layouts)
     training.close()
@@ -99,59 +104,53 @@ def test_a_study_leaves_tables_figures_and_policies(finished):
     text = (finished.results_dir / "tables.md").read_text()
     assert all(words in text for words in ("real robot", "wall follower", "reference alone"))
     for run in finished.planned():
-        assert load_policy(finished.pretrained / run.variant).variant == run.variant
+        assert load_policy(finished.publish / run.recipe.variant).variant == run.recipe.variant
 
 
-def test_a_finished_maze_run_is_not_repeated(finished, capsys):
-    study.main(finished)
-    assert "run 1" not in capsys.readouterr().out
+def test_the_evaluation_puts_the_baselines_into_the_same_mazes(policies):
+    result = evaluate(policies["ppt_maze"], episodes=2, seed=3, baselines=True)
+    assert list(result.rows) == ["ppt_maze", "reference alone", "wall follower"]
+    assert set(result.as_json()["baselines"]["wall follower"]) == set(MAZE.report.columns)
+    assert "wall follower" in result.tables()
+    assert list(evaluate(policies["st_maze"], episodes=1, seed=3, baselines=True).rows) == ["st_maze", "wall follower"]
 
 
-def test_the_evaluation_puts_the_baselines_into_the_same_mazes(finished, tmp_path, capsys):
-    run = finished.planned()[0]
-    setup = evaluate_maze.Config(run.run_dir, mazes=2, num_envs=2, num_threads=1, baseline=True, report=tmp_path)
-    evaluate_maze.main(setup)
-    rows = json.loads((tmp_path / "evaluation.json").read_text())
-    assert list(rows) == ["ppt_maze", "reference alone", "wall follower"]
-    assert set(rows["wall follower"]) == set(evaluate_maze.COLUMNS)
-    assert "wall follower" in capsys.readouterr().out
+def test_a_second_pass_filters_the_same_episodes_more(policies):
+    rows = evaluate(policies["ppt_maze"], episodes=2, seed=3).rows["ppt_maze"]["all"]
+    assert (rows["jerk_rms_slow"] < rows["jerk_rms"]).all()
 
 
-def test_a_slower_follower_leaves_the_policy_alone(finished):
-    policy = load_policy(finished.planned()[0].run_dir)
-    setup = evaluate_maze.Config(Path(), mazes=2, num_envs=2, num_threads=1, baseline=True, follower_speed=0.02)
-    slow, usual = (evaluate_maze.evaluate(policy, run) for run in (setup, replace(setup, follower_speed=0.055)))
-    assert (slow["wall follower"]["progress"] < usual["wall follower"]["progress"]).all()
+def test_a_slower_follower_leaves_the_policy_alone(policies):
+    policy = policies["ppt_maze"]
+    slow, usual = (
+        evaluate(policy.with_changes(follower_speed=speed), episodes=2, seed=3, baselines=True).rows
+        for speed in (0.02, 0.055)
+    )
+    assert (slow["wall follower"]["all"]["progress"] < usual["wall follower"]["all"]["progress"]).all()
     for name in ("ppt_maze", "reference alone"):
-        assert (slow[name]["jerk_rms"] == usual[name]["jerk_rms"]).all()
+        np.testing.assert_array_equal(slow[name]["all"]["jerk_rms"], usual[name]["all"]["jerk_rms"])
 
 
 @pytest.mark.parametrize("speed", [0.0, -0.05, math.nan, math.inf])
 def test_an_impossible_speed_of_the_follower_is_refused(speed):
-    with pytest.raises(ValueError, match=r"follower_speed is .*; expected a speed above 0 m/s"):
-        evaluate_maze.Config(Path(), follower_speed=speed)
+    with pytest.raises(ValueError, match=r"follower_speed is .*; expected a finite number above 0 m/s"):
+        find_recipe("ppt_maze").config(follower_speed=speed)
 
 
-def test_a_maze_of_ones_own_is_evaluated_and_filmed(finished, tmp_path):
+def test_a_maze_of_ones_own_is_evaluated_and_drawn(policies, tmp_path):
     layout = MazeLayout((Straight(0.12), Turn(0.5), Straight(0.12)), start=(0.5, -0.1))
     (tmp_path / "mine.json").write_text(layout.to_json())
-    run = finished.planned()[0]
-    film = tmp_path / "film.mp4"
-    evaluate_maze.main(
-        evaluate_maze.Config(run.run_dir, layout=(tmp_path / "mine.json",), num_threads=1, json=True, video=film)
-    )
-    assert film.exists() == (rendering_backend() != "disable")
-
-
-def test_either_evaluation_sends_the_other_tasks_policies_on(finished, root):
-    with pytest.raises(ValueError, match="evaluate_maze"):
-        evaluate.main(evaluate.Config(finished.planned()[0].run_dir))
-    with pytest.raises(ValueError, match=r"evaluate\.py"):
-        evaluate_maze.main(evaluate_maze.Config(root / "pretrained" / "ppt_push"))
+    policy = policies["ppt_maze"].with_changes(layouts=(tmp_path / "mine.json",))
+    env = policy.make_env(1)
+    env.reset()
+    assert env.base_env.layouts == [layout]
+    draw_policy(policy, tmp_path / "report", episodes=1, seed=0)
+    assert (tmp_path / "report" / "episode.png").exists()
+    assert (tmp_path / "report" / "ppt_maze.mp4").exists() == (rendering_backend() != "disable")
 
 
 def test_a_changed_checkpoint_is_refused(finished, tmp_path):
-    source = finished.pretrained / "ppt_maze"
+    source = finished.publish / "ppt_maze"
     for path in source.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
     weights = tmp_path / "policy.safetensors"
@@ -160,20 +159,22 @@ def test_a_changed_checkpoint_is_refused(finished, tmp_path):
         load_policy(tmp_path)
 
 
-def test_difficulty_is_swept_and_drawn(finished, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        maze_difficulty, "SWEEPS", {name: (f, v[:2], u) for name, (f, v, u) in list(maze_difficulty.SWEEPS.items())[:2]}
-    )
-    paths = tuple(run.run_dir for run in finished.planned())
-    maze_difficulty.main(maze_difficulty.Config(paths, mazes=1, num_threads=1, baseline=True, report=tmp_path))
+def test_difficulty_is_swept_and_drawn(policies, tmp_path, monkeypatch):
+    points = MAZE.sweep.points(1, 5)
+    chosen = [point for point in points if point.quantity in ("turns [degrees]", "width [mm]")][:8]
+    few = replace(MAZE.sweep, points=lambda count, seed: chosen)
+    task = replace(MAZE, sweep=few)
+    swept = [replace(policy, recipe=replace(policy.recipe, task=task)) for policy in policies.values()]
+    run_sweep(swept, episodes=1, seed=5, baselines=["wall follower"], report=tmp_path)
     curves = json.loads((tmp_path / "difficulty.json").read_text())
     assert set(curves["turns [degrees]"]) == {"PPT", "ST", "wall follower"}
+    assert len(curves["turns [degrees]"]["PPT"][0]) == 6
     assert (tmp_path / "difficulty.png").stat().st_size > 5_000
 
 
 def test_the_prior_goes_straight_ahead_on_the_floor():
-    recipe = recipe_of("ppt_maze")
-    config = recipe.Config(num_threads=1, physics_dt=0.002, ppo=PPOConfig())
+    recipe = find_recipe("ppt_maze")
+    config = recipe.config(num_threads=1, physics_dt=0.002)
     promp = fit_maze_prior(recipe.make_modules(config)["promp"], config, num_corridors=8, seed=3)
     position, velocity, _ = promp.decode(promp.weights_mean, torch.linspace(0.0, 1.0, 9))
     assert velocity[:, 0].min() > 0.6 * config.follower_speed
@@ -183,7 +184,7 @@ def test_the_prior_goes_straight_ahead_on_the_floor():
 
 def test_a_recorded_rollout_holds_the_via_points_of_touch(policies):
     policy = policies["ppt_maze"]
-    env = policy.make_env(num_envs=2, seed=0, num_threads=1)
+    env = policy.make_env(num_envs=2, seed=0)
     episode = record_episodes(env, policy.actor, ("pose", "via_position", "via_mask"))
     steps = int(episode["control_steps"].max())
     assert episode["trace", "via_position"].shape[-2:] == (8, 3)
@@ -192,15 +193,17 @@ def test_a_recorded_rollout_holds_the_via_points_of_touch(policies):
 
 
 def test_the_bare_environment_of_the_recipes_takes_the_time_of_training_or_test():
-    config = recipe_of("st_maze").Config(num_envs=1, num_threads=1)
-    assert make_maze_env(config).duration == config.training_duration
-    assert make_maze_env(config, layouts=[MazeLayout((Straight(0.2),), start=(0.5, 0.0))]).duration == config.duration
+    config = find_recipe("st_maze").config(num_threads=1)
+    assert make_training_env(config, num_envs=1).duration == config.training_duration
+    assert make_test_env(config, num_envs=1).duration == config.duration
+    with pytest.raises(ValueError, match="training corridors are drawn"):
+        make_training_env(config, num_envs=1, given=[MazeLayout((Straight(0.2),), start=(0.5, 0.0))])
 
 
 @variants
 def test_a_policy_does_to_the_right_what_it_does_to_the_left(variant, policies):
     policy = policies[variant]
-    env = policy.make_env(num_envs=4, seed=0, num_threads=1)
+    env = policy.make_env(num_envs=4, seed=0)
     here = env.reset().select(*policy.actor.in_keys)
     twist = torch.randn(4, 6)
     here["heading_twist"], here["heading_wrench"] = twist, 3 * twist.roll(1, 0)

@@ -1,0 +1,107 @@
+"""Kinematic chains of revolute joints, from Denavit-Hartenberg tables of either convention."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+__all__ = ["Chain", "DHRow", "Offset"]
+
+Vector3 = tuple[float, float, float]
+
+
+class DHRow(NamedTuple):
+    """One row of a Denavit-Hartenberg table.
+
+    Attributes:
+        a: length along x [m].
+        d: offset along z [m].
+        alpha: rotation about x [rad].
+        theta: joint angle at which the joint's position is zero [rad].
+    """
+
+    a: float
+    d: float
+    alpha: float
+    theta: float = 0.0
+
+
+class Offset(NamedTuple):
+    """Fixed pose of a joint's frame in the frame of the link before it; the joint then turns about its z axis.
+
+    The rotation is ``Rx(twist) Rz(turn)``.
+
+    Attributes:
+        position: [m].
+        twist: rotation about x [rad].
+        turn: rotation about z that follows [rad].
+    """
+
+    position: Vector3
+    twist: float
+    turn: float = 0.0
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Kinematic chain of revolute joints, each a fixed offset followed by a rotation about z.
+
+    Link ``i`` carries the frame of joint ``i``. Flange and tool lie on the axis of the last joint.
+
+    Attributes:
+        offsets: one for each joint, from the base outwards.
+        flange: distance from the last joint's frame to the flange along its z axis [m].
+        tool_turn: angle from the last joint's frame to the tool's about that axis [rad].
+    """
+
+    offsets: tuple[Offset, ...]
+    flange: float
+    tool_turn: float = 0.0
+
+    @classmethod
+    def modified_dh(cls, rows: Sequence[DHRow], *, flange: float, tool_turn: float = 0.0) -> Chain:
+        """Build the chain of a modified (Craig) table: ``T_i = Rx(alpha) Tx(a) Rz(q + theta) Tz(d)``.
+
+        Args:
+            rows: one for each joint.
+            flange: distance from the last joint's frame to the flange along its z axis [m].
+            tool_turn: angle from the last joint's frame to the tool's about that axis [rad].
+
+        Returns:
+            The chain; its link frames are the frames of the table.
+        """
+        offsets = [
+            Offset((row.a, -math.sin(row.alpha) * row.d, math.cos(row.alpha) * row.d), row.alpha, row.theta)
+            for row in rows
+        ]
+        return cls(tuple(offsets), flange, tool_turn)
+
+    @classmethod
+    def standard_dh(cls, rows: Sequence[DHRow], *, tool_turn: float = 0.0) -> Chain:
+        """Build the chain of a standard table: ``T_i = Rz(q + theta) Tz(d) Tx(a) Rx(alpha)``.
+
+        In this convention joint ``i`` turns about the z axis of frame ``i - 1``. The fixed part of a row is therefore
+        the offset of the next joint, and the fixed part of the last row leads to the flange.
+
+        Args:
+            rows: one for each joint.
+            tool_turn: angle from the last joint's frame to the tool's about its z axis [rad].
+
+        Returns:
+            The chain; its link frames are not those of the table (see :meth:`Inertial.in_joint_frame`).
+
+        Raises:
+            ValueError: if the flange is not on the last joint's axis.
+        """
+        *inner, last = rows
+        if last.a or last.alpha:
+            raise ValueError(
+                f"the last row is {last}; expected a = 0 and alpha = 0, a flange on the last joint's axis."
+            )
+        first = Offset((0.0, 0.0, 0.0), 0.0, rows[0].theta)
+        following = [
+            Offset((row.a, 0.0, row.d), row.alpha, after.theta) for row, after in zip(inner, rows[1:], strict=True)
+        ]
+        return cls((first, *following), last.d, tool_turn)

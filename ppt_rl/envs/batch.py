@@ -1,0 +1,212 @@
+"""Environments that step together: the engine, masks, the end of an episode and divergence, whatever is simulated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite
+from torchrl.envs import EnvBase
+
+from ppt_rl.envs.audit import AuditedPhysics
+from ppt_rl.envs.models import remove_visual_geoms
+from ppt_rl.envs.mujoco_imports import mjcf
+from ppt_rl.envs.physics import EngineConfig, ThreadedPhysics, substeps_per_control_step
+from ppt_rl.envs.rendering import RenderedScenes
+from ppt_rl.envs.specs import SpecMaker
+from ppt_rl.functional.checks import require_positive
+
+__all__ = ["BatchedEnv", "Rows"]
+
+#: Indices of environments, ``(R,)``.
+Rows = NDArray[np.int64]
+
+
+class BatchedEnv(RenderedScenes, EnvBase):
+    """A batch of simulated scenes, ``batch_locked``. A subclass says what they contain and what is observed.
+
+    An episode is truncated after ``duration`` (or terminated, see ``horizon_terminates``), and at once where the
+    physics diverges. A diverged environment keeps its last good readings, so no NaN reaches a collector.
+
+    Args:
+        num_envs: number of environments.
+        duration: episode length [s].
+        control_dt: time between actions [s].
+        dtype: precision of what the environment returns.
+        device: device of what the environment returns.
+        engine: options of the physics.
+
+    Raises:
+        ValueError: if a number is out of range or ``control_dt`` is no multiple of the physics' time step.
+    """
+
+    #: Whether the horizon is the end of the task (``terminated``, so that nothing is bootstrapped beyond it) or only
+    #: the end of the record (``truncated``).
+    horizon_terminates = False
+
+    def __init__(
+        self,
+        num_envs: int,
+        *,
+        duration: float,
+        control_dt: float,
+        dtype: torch.dtype,
+        device: torch.device | str,
+        engine: EngineConfig,
+    ) -> None:
+        if isinstance(num_envs, bool) or int(num_envs) != num_envs or num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs}; expected a whole number of at least 1.")
+        super().__init__(device=torch.device(device), batch_size=torch.Size([int(num_envs)]))
+        self.num_envs = int(num_envs)
+        self.dtype = dtype
+        self.engine_config = engine
+        self.control_dt = require_positive("control_dt", control_dt, "s")
+        self.duration = require_positive("duration", duration, "s")
+        self.substeps = substeps_per_control_step(control_dt, engine.physics_dt)
+        self.horizon = max(1, round(duration / control_dt))
+
+    def _start_engine(self) -> Any:
+        """Compile the scene without its looks, start the engine on it and return the compiled model."""
+        root = self._scene()
+        remove_visual_geoms(root)
+        model = mjcf.Physics.from_mjcf_model(root).model.ptr
+        physics = ThreadedPhysics(model, self.num_envs, self.substeps, self.engine_config.num_threads)
+        self.engine: Any = AuditedPhysics(physics, model) if self.engine_config.audit else physics
+        self._sensors = torch.zeros(self.num_envs, model.nsensordata, dtype=self.dtype)
+        self._elapsed = torch.zeros(self.num_envs, 1, dtype=torch.int64)
+        self._diverged = torch.zeros(self.num_envs, 1, dtype=torch.bool)
+        return model
+
+    # -- hooks, in the order of time ----------------------------------------------------------------------------------
+
+    def _scene(self) -> Any:
+        """MJCF of the scene, with looks."""
+        raise NotImplementedError
+
+    def _task_spec(self, make: SpecMaker) -> Composite:
+        """Specs of the observations that the task adds."""
+        return make.nest()
+
+    def _prepare(self, model: Any) -> None:
+        """Look up in the compiled model what the task needs of it."""
+
+    def _begin(self, rows: Rows) -> np.ndarray:
+        """Draw an episode for ``rows``, write its parameters into their models and return ``(R, nq)`` positions."""
+        raise NotImplementedError
+
+    def _observation(self) -> dict[str, Any]:
+        """Observations ``(num_envs, ...)`` that every task shares, from the present readings."""
+        raise NotImplementedError
+
+    def _task_reset(self, rows: Tensor) -> dict[str, Any]:
+        """Observations of the task, ``(num_envs, ...)``, after ``rows`` began an episode."""
+        return {}
+
+    def _checked_action(self, action: Tensor, mask: Tensor | None) -> Tensor:
+        """The action as the engine takes it, float64 on the CPU; only the environments in ``mask`` must be valid."""
+        raise NotImplementedError
+
+    def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
+        """Observations of the task and ``reward`` after a control step; ``ended`` marks episodes at their horizon."""
+        return {"reward": torch.zeros(self.num_envs, 1, dtype=self.dtype)}
+
+    def _task_over(self) -> Tensor | None:
+        """``(num_envs, 1)`` True where the task is over before its horizon; None where it never is."""
+        return None
+
+    def _write_parameters(self, model: Any, row: int) -> None:
+        """Write the episode's parameters of environment ``row`` into a model (of the physics or of the renderer)."""
+
+    # -- EnvBase ------------------------------------------------------------------------------------------------------
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        every = torch.ones(self.num_envs, dtype=torch.bool)
+        mask = every if mask is None else mask.reshape(self.num_envs).cpu()
+        rows = mask.nonzero().squeeze(-1)
+        if len(rows):
+            index = rows.numpy()
+            position = self._begin(index)
+            self._put_sensors(rows, torch.from_numpy(self.engine.reset(index, position)).to(self.dtype))
+            self._elapsed[rows] = 0
+            self._diverged[rows] = False
+        observation = self._observation()
+        observation |= self._task_reset(rows)
+        return self._pack(observation | self._done(self._elapsed >= self.horizon))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        mask = tensordict.get("_step", None)
+        mask = None if mask is None else mask.reshape(self.num_envs).cpu()
+        action = self._checked_action(tensordict.get("action"), mask)
+        if mask is None:
+            step = self.engine.step(action.numpy())
+            good = ~torch.from_numpy(step.diverged)
+            moved = torch.from_numpy(step.sensors[:, -1]).to(self.dtype, copy=True)  # the engine reuses its buffer
+            self._sensors = moved if bool(good.all()) else torch.where(good.unsqueeze(-1), moved, self._sensors)
+            self._diverged = ~good.unsqueeze(-1)
+            self._elapsed += 1
+        else:
+            self._masked_step(action, mask)
+        observation = self._observation()
+        ended = self._elapsed >= self.horizon
+        observation |= self._task_step(observation, ended)
+        if mask is not None:
+            self._silence(observation, mask)
+        return self._pack(observation | self._done(ended))
+
+    def _masked_step(self, action: Tensor, mask: Tensor) -> None:
+        rows = mask.nonzero().squeeze(-1)
+        if not len(rows):
+            return
+        step = self.engine.step(action[rows].numpy(), rows.numpy())
+        good = ~torch.from_numpy(step.diverged)
+        moved = torch.from_numpy(step.sensors[:, -1]).to(self.dtype)
+        self._put_sensors(rows, torch.where(good.unsqueeze(-1), moved, self._sensors[rows]))
+        self._diverged[rows] = ~good.unsqueeze(-1)
+        self._elapsed[rows] += 1
+
+    def _put_sensors(self, rows: Tensor, sensors: Tensor) -> None:
+        """Replace the readings of ``rows``. Observations are views, so the tensor of earlier ones is left as it is."""
+        self._sensors = self._sensors.clone()
+        self._sensors[rows] = sensors
+
+    @staticmethod
+    def _silence(observation: dict[str, Any], mask: Tensor) -> None:
+        """Give no reward to environments that did not step."""
+        column = mask.unsqueeze(-1)
+        observation["reward"] = observation["reward"] * column
+        terms = observation.get("reward_terms", {})
+        for name, value in terms.items():
+            terms[name] = value * column
+
+    def _done(self, ended: Tensor) -> dict[str, Tensor]:
+        over = self._task_over()
+        terminal = ended if self.horizon_terminates else torch.zeros_like(ended)
+        if over is not None:
+            terminal = terminal | over
+        done = ended | terminal | self._diverged
+        terminated = terminal & ~self._diverged
+        return {"done": done, "terminated": terminated, "truncated": done & ~terminated}
+
+    def _pack(self, observation: dict[str, Any]) -> TensorDict:
+        if self.device.type != "cpu":
+            return TensorDict(observation, batch_size=self.batch_size).to(self.device)
+        return TensorDict(observation, batch_size=self.batch_size, device=self.device)
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._rng = np.random.default_rng(seed)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Stop the physics threads and free the renderer.
+
+        Args:
+            raise_if_closed: whether closing twice is an error.
+        """
+        if not self.is_closed:
+            self.engine.close()
+            self._free_renderer()
+        super().close(raise_if_closed=raise_if_closed)
