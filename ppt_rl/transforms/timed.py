@@ -1,4 +1,4 @@
-"""The control step of a transform: taken from its environment, or given and then compared with it."""
+"""The control step of a transform: taken from its environment, or given and compared with the environment's."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _CACHE = "_dt_of_transform"
 
 
 class TimedTransform(Transform):
-    """A transform that needs the control step, the time from one action of the base environment to the next [s].
+    """A transform that needs the control step: the time from one action of the base environment to the next [s].
 
     A subclass accepts ``dt: float | None = None``, assigns it at the end of its constructor (``self.dt = dt``) and
-    reads ``self.dt`` [s]:
+    reads ``self.dt`` [s].
 
-    * in an environment, ``dt`` is the attribute ``control_dt`` [s] of the base environment (:func:`control_step`). A
-      given ``dt`` that differs from it is refused; in an environment without the attribute, the given ``dt`` holds.
-    * without an environment (``inv``, ``forward``, replay buffers), ``dt`` has to be given.
+    * In an environment, ``dt`` is the attribute ``control_dt`` [s] of the base environment (:func:`control_step`). A
+      given ``dt`` that differs from it is refused. Where the environment lacks the attribute, the given ``dt`` holds.
+    * Without an environment (``inv``, ``forward``, replay buffers), ``dt`` has to be given.
 
-    Both are checked when the specs of the environment are computed, which is before its first reset. The value is
-    stored on :attr:`parent`, which TorchRL makes anew whenever the transform or its chain moves.
+    The check runs when the specs of the environment are computed, before its first reset. The value is stored on
+    :attr:`parent`, which TorchRL makes anew whenever the transform or its chain moves.
 
     Args:
         in_keys: as for :class:`torchrl.envs.Transform`.
@@ -38,7 +38,7 @@ class TimedTransform(Transform):
         out_keys_inv: likewise.
     """
 
-    #: Whether this transform, as it is set up, works with time at all; where not, a missing control step is no error.
+    #: Whether this transform needs the control step with the arguments it was given; if not, none may be missing.
     _needs_dt: bool = True
     _given_dt: float | None = None
 
@@ -47,12 +47,11 @@ class TimedTransform(Transform):
         """Control step [s]."""
         parent = self.parent
         if parent is None:
-            return self._resolved_dt(None, "no environment")
+            return self._resolved_dt(None, "it is in no environment")
         known = parent.__dict__.get(_CACHE)
         if known is None:
-            owner = f"{type(parent.base_env).__name__} without a `control_dt` attribute"
-            known = self._resolved_dt(control_step(parent), owner)
-            parent.__dict__[_CACHE] = known
+            lacking = f"{type(_base(parent)).__name__} has no attribute `control_dt`"
+            known = parent.__dict__[_CACHE] = self._resolved_dt(control_step(parent), lacking)
         return known
 
     @dt.setter
@@ -66,23 +65,23 @@ class TimedTransform(Transform):
     def _accept_dt(self, dt: float) -> None:
         """Raise a ``ValueError`` where the transform cannot work with this control step [s]."""
 
-    def _resolved_dt(self, measured: float | None, owner: str) -> float:
-        """The environment's control step, or the given one where the environment has none."""
+    def _resolved_dt(self, theirs: float | None, lacking: str) -> float:
+        """The environment's control step, or the given one if the environment has none."""
         name, given = type(self).__name__, self._given_dt
-        if measured is None:
+        if theirs is None:
             if given is None:
                 raise ValueError(
-                    f"{name} needs the control step and has {owner}. Pass dt= [s], or give the environment a "
-                    "`control_dt` attribute [s]."
+                    f"{name} needs the control step, but {lacking}. Pass dt= [s], or give the environment an attribute "
+                    "`control_dt` [s]."
                 )
             return given
-        if given is not None and not math.isclose(given, measured, rel_tol=_TOLERANCE):
+        if given is not None and not math.isclose(given, theirs, rel_tol=_TOLERANCE):
             raise ValueError(
-                f"{name} has dt={given} s and its environment control_dt={measured} s; expected the same. Leave dt "
+                f"{name} has dt={given} s, but its environment has control_dt={theirs} s; expected the same. Leave dt "
                 "out, or correct the environment's `control_dt`."
             )
-        self._accept_dt(measured)
-        return measured
+        self._accept_dt(theirs)
+        return theirs
 
     def _check_dt(self) -> None:
         if self.parent is not None and (self._needs_dt or self._given_dt is not None):
@@ -111,12 +110,17 @@ def control_step(env: EnvBase) -> float | None:
         env: any environment.
 
     Returns:
-        The control step [s]; None where the environment does not say.
+        The control step [s]; None if the environment has no such attribute.
 
     Raises:
         ValueError: if ``control_dt`` is no positive finite number.
     """
-    while isinstance(env, TransformedEnv):
-        env = env.base_env
+    env = _base(env)
     value = env.__dict__.get("control_dt") if isinstance(env, BatchedEnvBase) else getattr(env, "control_dt", None)
     return None if value is None else require_positive(f"control_dt of {type(env).__name__}", value, "s")
+
+
+def _base(env: EnvBase) -> EnvBase:
+    while isinstance(env, TransformedEnv):
+        env = env.base_env
+    return env

@@ -51,7 +51,7 @@ def test_the_control_step_is_that_of_the_environment(name):
 @each_timed
 def test_a_control_step_that_disagrees_is_refused_before_the_first_reset_with_both_values_and_the_remedy(name):
     env = TransformedEnv(make_base(name, (2,)), CASES[name].make(dt=0.02))
-    message = rf"{name} has dt=0\.02 s and its environment control_dt=0\.01 s; .*Leave dt out, or correct"
+    message = rf"{name} has dt=0\.02 s, but its environment has control_dt=0\.01 s; .*Leave dt out, or correct"
     with pytest.raises(ValueError, match=message):
         env.reset()
     with pytest.raises(ValueError, match=message):
@@ -103,7 +103,9 @@ def test_the_tank_charges_power_times_the_control_step_of_the_simulated_arm(dt):
 
 @each_timed
 def test_an_environment_without_a_control_step_needs_dt_and_the_error_says_so(name):
-    message = rf"{name} needs the control step and has MockArmEnv without .*Pass dt= \[s\], or give .*`control_dt`"
+    message = (
+        rf"{name} needs the control step, but MockArmEnv has no attribute .*Pass dt= \[s\], or give .*`control_dt`"
+    )
     with pytest.raises(ValueError, match=message):
         TransformedEnv(foreign(name), CASES[name].make()).reset()
 
@@ -127,7 +129,9 @@ def test_torchrls_own_pendulum_takes_a_given_step_or_an_attribute_of_its_own():
     named = PendulumEnv()
     named.control_dt = 0.05
     assert torch.equal(spent(PendulumEnv(), dt=0.05), spent(named))
-    with pytest.raises(ValueError, match="EnergyTankTransform needs the control step and has PendulumEnv without"):
+    with pytest.raises(
+        ValueError, match="EnergyTankTransform needs the control step, but PendulumEnv has no attribute"
+    ):
         spent(PendulumEnv())
 
 
@@ -161,12 +165,12 @@ def test_layers_of_transformed_environments_are_looked_through():
 def test_on_environments_in_workers_the_step_is_given_or_set_on_all_of_them_together(batched):
     env = batched(2, MockArmEnv)
     assert control_step(env) is None
-    with pytest.raises(ValueError, match=r"Env without a `control_dt` attribute\. Pass dt="):
+    with pytest.raises(ValueError, match=r"Env has no attribute `control_dt`\. Pass dt="):
         TransformedEnv(env, EnergyTankTransform()).reset()
     env.control_dt = 0.02
     assert control_step(env) == 0.02
     assert control_step(SerialEnv(1, MockArmEnv)) is None
-    with pytest.raises(ValueError, match=r"dt=0\.01 s .* control_dt=0\.02 s"):
+    with pytest.raises(ValueError, match=r"dt=0\.01 s, .* control_dt=0\.02 s"):
         TransformedEnv(env, EnergyTankTransform(dt=0.01)).reset()
 
 
@@ -211,7 +215,7 @@ def test_a_transform_that_is_appended_later_is_checked_then():
     env.reset()
     assert env.transform[1].dt == 0.05
     env.transform.append(EpisodeMetricsTransform(dt=0.01))
-    with pytest.raises(ValueError, match=r"EpisodeMetricsTransform has dt=0\.01 s .* control_dt=0\.05 s"):
+    with pytest.raises(ValueError, match=r"EpisodeMetricsTransform has dt=0\.01 s, .* control_dt=0\.05 s"):
         env.reset()
 
 
@@ -219,7 +223,7 @@ def test_a_control_step_that_is_set_later_is_compared_like_a_given_one():
     env = TransformedEnv(MockArmEnv((2,)), EnergyTankTransform())
     env.reset()
     env.transform.dt = 0.02
-    with pytest.raises(ValueError, match=r"dt=0\.02 s .* control_dt=0\.01 s"):
+    with pytest.raises(ValueError, match=r"dt=0\.02 s, .* control_dt=0\.01 s"):
         _ = env.transform.dt
 
 
@@ -229,7 +233,7 @@ def test_a_control_step_that_is_set_later_is_compared_like_a_given_one():
 @each_timed
 def test_without_an_environment_the_control_step_is_the_given_one_and_else_an_error(name):
     assert CASES[name].make(dt=0.01).dt == 0.01
-    with pytest.raises(ValueError, match=rf"{name} needs the control step and has no environment\. Pass dt="):
+    with pytest.raises(ValueError, match=rf"{name} needs the control step, but it is in no environment\. Pass dt="):
         _ = CASES[name].make().dt
 
 
