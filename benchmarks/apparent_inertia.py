@@ -15,7 +15,7 @@ from ppt_rl.arms import Arm, find_arm
 from ppt_rl.envs import ArmEnv
 from ppt_rl.envs.mujoco_imports import mujoco
 from ppt_rl.modules import Kinematics
-from ppt_rl.training import run_cli
+from ppt_rl.training import run_script
 
 
 @dataclass(frozen=True)
@@ -70,4 +70,4 @@ def main(run: Config) -> None:
 
 
 if __name__ == "__main__":
-    run_cli(main, Config)
+    run_script(main, Config)

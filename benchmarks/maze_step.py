@@ -16,7 +16,7 @@ from torchrl.envs import Compose, TransformedEnv
 
 from ppt_rl.envs import ArmEnv, EngineConfig, MazeEnv, PushEnv
 from ppt_rl.modules import CartesianImpedanceController, Kinematics
-from ppt_rl.training import run_cli
+from ppt_rl.training import run_script
 from ppt_rl.transforms import EnergyTankTransform, EpisodeMetricsTransform, ImpedanceTransform, JointTorqueTransform
 
 
@@ -95,4 +95,4 @@ def main(run: Config) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    run_cli(main, Config)
+    run_script(main, Config)

@@ -1,14 +1,12 @@
-"""The effect of two modelling choices: the friction cone, and the inertia in the nullspace projection.
+"""What two choices of the model change: the friction cone, and the inertia in the nullspace projection.
 
-The via-point reference pushes boxes without a policy. docs/method.md quotes the figures.
+The reference alone (no policy) pushes boxes; both figures are quoted in docs/method.md.
 ``python benchmarks/model_choices.py``
 """
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -16,11 +14,10 @@ from torchrl.envs import TransformedEnv
 
 from ppt_rl.envs.mujoco_imports import mujoco
 from ppt_rl.evaluation import record_episodes
+from ppt_rl.recipes.ppo_ppt_push import RECIPE
 from ppt_rl.tasks.push import fit_push_prior
-from ppt_rl.training import run_cli
+from ppt_rl.training import run_script
 from ppt_rl.transforms import JointTorqueTransform
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipes"))
 
 _CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
 
@@ -30,10 +27,10 @@ class Config:
     """Run the reference alone with each friction cone and each projection.
 
     Attributes:
-        episodes: number of episodes for each choice.
-        num_threads: physics threads; 0 takes one for each CPU.
-        seed: seed of the episodes.
-        box_yaw: largest yaw of the box relative to the table's axes [rad].
+        episodes: episodes of each kind.
+        num_threads: physics threads; 0 takes one per CPU.
+        seed: of the episodes.
+        box_yaw: largest yaw of the box off the table's axes [rad].
     """
 
     episodes: int = 256
@@ -43,21 +40,17 @@ class Config:
 
 
 def reference_env(run: Config, promp: Any) -> TransformedEnv:
-    """The environment with PPT's chain."""
-    import ppo_ppt_push as recipe
-
-    config = replace(recipe.Config(), num_envs=run.episodes, num_threads=run.num_threads)
-    env = recipe.make_env(config, promp, seed=run.seed)
+    """PPT's chain in fresh episodes."""
+    config = RECIPE.config(num_threads=run.num_threads)
+    env = RECIPE.make_env(config, {"promp": promp}, num_envs=run.episodes, seed=run.seed)
     base = env.base_env
     base.randomisation = replace(base.randomisation, box_yaw=(-run.box_yaw, run.box_yaw))
     return env
 
 
 def main(run: Config) -> None:
-    """Measure both choices and print the figures."""
-    import ppo_ppt_push as recipe
-
-    promp = fit_push_prior(recipe.make_modules(recipe.Config())["promp"])
+    """Measure and print."""
+    promp = fit_push_prior(RECIPE.make_modules(RECIPE.config())["promp"])
 
     def still(tensordict: Any) -> Any:
         return tensordict.set("action", torch.zeros(run.episodes, promp.num_basis * promp.num_dof))
@@ -71,8 +64,8 @@ def main(run: Config) -> None:
         normal = torch.stack([-way[:, 1], way[:, 0]], -1) / way.norm(dim=-1, keepdim=True)
         offset = ((episode["trace", "box_pose"][:, -1, :2] - episode["goal"]) * normal).sum(-1)
         print(
-            f"{name:>10} cone: success {episode['success'].float().mean():.3f}, box ends "
-            f"{1e3 * offset.square().mean().sqrt():.1f} mm RMS beside the line to its goal"
+            f"{name:>10} cone: success {episode['success'].float().mean():.3f}, box off the line to its goal by "
+            f"{1e3 * offset.square().mean().sqrt():.1f} mm RMS"
         )
         env.close()
     for name in ("joint inertia", "identity"):
@@ -83,11 +76,11 @@ def main(run: Config) -> None:
         height = record_episodes(env, still, ["pose"])["trace", "pose"][..., 2]
         drop = (height - height[:, :1]).abs().amax(-1)
         print(
-            f"projection with {name:>13}: tool leaves its height by up to {1e3 * drop.mean():.1f} mm (mean of episodes)"
+            f"projection with {name:>13}: tool off its height by up to {1e3 * drop.mean():.1f} mm (mean over episodes)"
         )
         env.close()
 
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    run_cli(main, Config)
+    run_script(main, Config)

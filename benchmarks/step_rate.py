@@ -10,11 +10,9 @@ from __future__ import annotations
 import json
 import resource
 import statistics
-import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,10 +22,9 @@ from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType
 
 from ppt_rl.envs.mujoco_imports import mujoco
+from ppt_rl.recipes.ppo_ppt_push import RECIPE
 from ppt_rl.tasks.push import fit_push_prior
-from ppt_rl.training import run_cli
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "recipes"))
+from ppt_rl.training import run_script
 
 
 @dataclass(frozen=True)
@@ -65,18 +62,16 @@ def _peak_memory() -> float:
 @torch.no_grad()
 def measure(run: Config) -> dict[str, float]:
     """Rates [control steps/s], their ratios to MuJoCo alone, and memory."""
-    import ppo_ppt_push as recipe
-
     torch.set_num_threads(run.torch_threads)
-    config = replace(recipe.Config(), num_envs=run.num_envs, num_threads=run.threads, duration=run.seconds, seed=1)
-    promp = fit_push_prior(recipe.make_modules(config)["promp"], num_demonstrations=64)
+    config = RECIPE.config(num_threads=run.threads, duration=run.seconds)
+    promp = fit_push_prior(RECIPE.make_modules(config)["promp"], num_demonstrations=64)
     before = _peak_memory()
-    env = recipe.make_env(config, promp)
-    actor, _ = recipe.make_policy(config, env)
+    env = RECIPE.make_env(config, {"promp": promp}, num_envs=run.num_envs, seed=1)
+    actor, _ = RECIPE.make_policy(config, env)
     base, engine = env.base_env, env.base_env.engine
     env.reset()
     memory = (_peak_memory() - before) / run.num_envs
-    torques = _reference_torques(recipe, config, promp, env, actor)
+    torques = _reference_torques(env, actor)
     action = torch.from_numpy(torques).float()
     collector = Collector(
         env, actor, frames_per_batch=run.num_envs, total_frames=-1, trust_policy=True,
@@ -149,7 +144,7 @@ def measure(run: Config) -> dict[str, float]:
     return result | {"memory_per_env_mib": memory, "num_envs": run.num_envs, "threads": run.threads}
 
 
-def _reference_torques(recipe: Any, config: Any, promp: Any, env: Any, actor: Any) -> np.ndarray:
+def _reference_torques(env: Any, actor: Any) -> np.ndarray:
     """Joint torques ``(T, num_envs, 7)`` that the chain sends in these episodes: all four do the same physics."""
     sent: list[np.ndarray] = []
     engine = env.base_env.engine
@@ -177,4 +172,4 @@ def main(run: Config) -> None:
 
 
 if __name__ == "__main__":
-    run_cli(main, Config)
+    run_script(main, Config)

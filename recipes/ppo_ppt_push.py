@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from torch import nn
-from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs import Transform, TransformedEnv
 
+from ppt_rl.envs import PushEnv
+from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, ProMP, TaskSpace
-from ppt_rl.tasks import episode_metrics, make_controller, prepare_torch
-from ppt_rl.tasks.push import PUSH_AXES, EpisodeLevelConfig, fit_push_prior, make_push_env, make_push_policy
-from ppt_rl.training import run_recipe
+from ppt_rl.tasks import episode_metrics, make_controller
+from ppt_rl.tasks.push import PUSH, PUSH_AXES, EpisodeLevelConfig, fit_push_prior, make_push_policy
 from ppt_rl.transforms import (
     EnergyTankTransform,
     EpisodeMetricsTransform,
@@ -24,8 +25,6 @@ from ppt_rl.transforms import (
     ProMPTransform,
     ViaPointTransform,
 )
-
-VARIANT = "ppt_push"
 
 
 @dataclass(frozen=True)
@@ -41,33 +40,26 @@ class Config(EpisodeLevelConfig):
 
 
 def make_modules(config: Config) -> dict[str, ProMP]:
-    """What a checkpoint holds besides the networks: the movement primitive, its prior not fitted yet."""
+    """The movement primitive, its prior not fitted yet: what a checkpoint holds besides the networks."""
     return {"promp": ProMP(config.num_basis, len(PUSH_AXES), config.duration)}
 
 
-def make_env(
-    config: Config, promp: ProMP, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
-) -> TransformedEnv:
-    """The pushing environment with PPT's chain: what stands above the macro step runs at control rate."""
-    base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
-    return TransformedEnv(
-        base,
-        Compose(
-            JointTorqueTransform(Kinematics(base.arm, base.tool_length), dt=dt),
-            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
-            ImpedanceTransform(make_controller(config)),
-            EpisodeMetricsTransform(episode_metrics(config)),
-            MacroStepTransform(config.chunk, discount=config.ppo.gamma),
-            ProMPTransform(
-                promp,
-                TaskSpace(PUSH_AXES, base.start_pose),
-                residual_scale=config.residual_scale,
-                replan_steps=config.chunk,
-                dt=dt,
-            ),
-            ViaPointTransform(promp),
+def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
+    """PPT's chain: what stands above the macro step runs at control rate."""
+    return [
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
+        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+        ImpedanceTransform(make_controller(config)),
+        EpisodeMetricsTransform(episode_metrics(config)),
+        MacroStepTransform(config.chunk, discount=config.ppo.gamma),
+        ProMPTransform(
+            promp,
+            TaskSpace(PUSH_AXES, base.start_pose),
+            residual_scale=config.residual_scale,
+            replan_steps=config.chunk,
         ),
-    )
+        ViaPointTransform(promp),
+    ]
 
 
 def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
@@ -75,16 +67,14 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
     return make_push_policy(env, initial_scale=config.initial_scale, extra_keys=("tank_energy", "valve"))
 
 
-def main(config: Config) -> Path:
-    """Train."""
-    prepare_torch(config)
-    modules = make_modules(config)
-    fit_push_prior(modules["promp"])  # from scripted demonstrations
-    env = make_env(config, modules["promp"])
-    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=config.policy_steps, extra=modules)
+def fit(config: Config, promp: ProMP) -> None:
+    """Fit the prior to scripted demonstrations."""
+    fit_push_prior(promp)
 
+
+RECIPE = Recipe(
+    "ppt_push", "PPT", PUSH, Config, make_chain, make_policy, make_modules, fit, has_tank=True, has_reference=True
+)
 
 if __name__ == "__main__":
-    from ppt_rl.training import run_cli
-
-    run_cli(main, Config)
+    RECIPE.main()

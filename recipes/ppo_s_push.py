@@ -9,20 +9,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from torch import nn
-from torchrl.envs import Compose, StepCounter, TransformedEnv, UnaryTransform
+from torchrl.envs import StepCounter, Transform, TransformedEnv, UnaryTransform
 
+from ppt_rl.envs import PushEnv
+from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, TaskSpace
-from ppt_rl.tasks import episode_metrics, make_controller, prepare_torch
-from ppt_rl.tasks.push import PUSH_AXES, StepWiseConfig, make_push_env, make_push_policy
-from ppt_rl.training import run_recipe
+from ppt_rl.tasks import episode_metrics, make_controller
+from ppt_rl.tasks.push import PUSH, PUSH_AXES, StepWiseConfig, make_push_policy
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     EpisodeMetricsTransform,
     ImpedanceTransform,
     JointTorqueTransform,
 )
-
-VARIANT = "s_push"
 
 
 @dataclass(frozen=True)
@@ -32,29 +31,18 @@ class Config(StepWiseConfig):
     run_dir: Path = Path("runs/s_push")
 
 
-def make_modules(config: Config) -> dict[str, nn.Module]:
-    """What a checkpoint holds besides the networks: nothing."""
-    return {}
-
-
-def make_env(
-    config: Config, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
-) -> TransformedEnv:
-    """The pushing environment with S's chain: everything runs at control rate."""
-    base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
-    return TransformedEnv(
-        base,
-        Compose(
-            JointTorqueTransform(Kinematics(base.arm, base.tool_length), dt=dt),
-            ImpedanceTransform(make_controller(config)),
-            EpisodeMetricsTransform(episode_metrics(config)),
-            CartesianVelocityTransform(
-                TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead, dt=dt
-            ),
-            StepCounter(),
-            UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),
+def make_chain(config: Config, base: PushEnv) -> list[Transform]:
+    """S's chain: everything runs at control rate."""
+    return [
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
+        ImpedanceTransform(make_controller(config)),
+        EpisodeMetricsTransform(episode_metrics(config)),
+        CartesianVelocityTransform(
+            TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead
         ),
-    )
+        StepCounter(),
+        UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),
+    ]
 
 
 def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
@@ -62,14 +50,7 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
     return make_push_policy(env, initial_scale=config.initial_scale, extra_keys=("reference_position",))
 
 
-def main(config: Config) -> Path:
-    """Train."""
-    prepare_torch(config)
-    env = make_env(config)
-    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=config.rollout_steps)
-
+RECIPE = Recipe("s_push", "S", PUSH, Config, make_chain, make_policy)
 
 if __name__ == "__main__":
-    from ppt_rl.training import run_cli
-
-    run_cli(main, Config)
+    RECIPE.main()

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from torch import nn
-from torchrl.envs import Compose, StepCounter, TransformedEnv, UnaryTransform
+from torchrl.envs import StepCounter, Transform, TransformedEnv, UnaryTransform
 
+from ppt_rl.envs import PushEnv
+from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, TaskSpace
-from ppt_rl.tasks import episode_metrics, make_controller, prepare_torch
-from ppt_rl.tasks.push import PUSH_AXES, StepWiseConfig, make_push_env, make_push_policy
-from ppt_rl.training import run_recipe
+from ppt_rl.tasks import episode_metrics, make_controller
+from ppt_rl.tasks.push import PUSH, PUSH_AXES, StepWiseConfig, make_push_policy
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     EnergyTankTransform,
@@ -22,8 +23,6 @@ from ppt_rl.transforms import (
     ImpedanceTransform,
     JointTorqueTransform,
 )
-
-VARIANT = "st_push"
 
 
 @dataclass(frozen=True)
@@ -38,30 +37,19 @@ class Config(StepWiseConfig):
     e_max: float = 3.0
 
 
-def make_modules(config: Config) -> dict[str, nn.Module]:
-    """What a checkpoint holds besides the networks: nothing."""
-    return {}
-
-
-def make_env(
-    config: Config, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
-) -> TransformedEnv:
-    """The pushing environment with ST's chain: everything runs at control rate."""
-    base, dt = make_push_env(config, num_envs=num_envs, seed=seed, audit=audit), config.control_dt
-    return TransformedEnv(
-        base,
-        Compose(
-            JointTorqueTransform(Kinematics(base.arm, base.tool_length), dt=dt),
-            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
-            ImpedanceTransform(make_controller(config)),
-            EpisodeMetricsTransform(episode_metrics(config)),
-            CartesianVelocityTransform(
-                TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead, dt=dt
-            ),
-            StepCounter(),
-            UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),
+def make_chain(config: Config, base: PushEnv) -> list[Transform]:
+    """ST's chain: everything runs at control rate."""
+    return [
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
+        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+        ImpedanceTransform(make_controller(config)),
+        EpisodeMetricsTransform(episode_metrics(config)),
+        CartesianVelocityTransform(
+            TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead
         ),
-    )
+        StepCounter(),
+        UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),
+    ]
 
 
 def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
@@ -71,14 +59,7 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
     )
 
 
-def main(config: Config) -> Path:
-    """Train."""
-    prepare_torch(config)
-    env = make_env(config)
-    return run_recipe(VARIANT, config, env, *make_policy(config, env), policy_steps=config.rollout_steps)
-
+RECIPE = Recipe("st_push", "ST", PUSH, Config, make_chain, make_policy, has_tank=True)
 
 if __name__ == "__main__":
-    from ppt_rl.training import run_cli
-
-    run_cli(main, Config)
+    RECIPE.main()

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 ROOT = Path(__file__).resolve().parents[1]
-for folder in ("recipes", "benchmarks"):
-    sys.path.insert(0, str(ROOT / folder))
+sys.path.insert(0, str(ROOT / "benchmarks"))
 
 
 torch.set_num_threads(1)  # the tensors here are small: more threads only get in each other's way

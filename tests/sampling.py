@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from ppt_rl.arms import PANDA, Arm
+from ppt_rl.functional.promp import Gaussian
 
 
 def random_quats(*shape: int, seed: int = 0) -> Tensor:
@@ -35,3 +36,8 @@ def random_cov(*batch: int, size: int, scale: float = 1.0, seed: int = 0) -> Ten
     """Positive definite matrices ``(*batch, size, size)``."""
     root = normal(*batch, size, size, seed=seed)
     return scale * (root @ root.mT / size + 0.1 * torch.eye(size, dtype=torch.float64))
+
+
+def random_gaussian(size: int, *batch: int, seed: int = 0) -> Gaussian:
+    """Normal distributions with means ``(*batch, size)``."""
+    return Gaussian(normal(*batch, size, seed=seed + 1), random_cov(*batch, size=size, seed=seed))

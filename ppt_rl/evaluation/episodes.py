@@ -1,77 +1,47 @@
-"""Deterministic evaluation: rows per episode, means with 95 % intervals."""
+"""Deterministic episodes of a policy: a row of metrics for each, or everything that was observed."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
-from scipy import stats
+from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from tqdm import tqdm
 
 from ppt_rl.transforms.macro_step import MacroStepTransform
 
-__all__ = [
-    "POWER_AND_WORK",
-    "REPORTED",
-    "ZeroPolicy",
-    "distribution",
-    "interval",
-    "record_episodes",
-    "run_episodes",
-    "summarise",
-]
+__all__ = ["Rows", "ZeroPolicy", "record_episodes", "run_episodes"]
 
-#: Metrics of the report, in order, with their units.
-REPORTED = {
-    "success": "0-1",
-    "max_power": "W",
-    "jerk_rms": "m/s^3",
-    "wrench_p95": "N",
-    "overload_ratio": "0-1",
-    "contact_continuity": "0-1",
-    "progress": "0-1",
-}
-#: Power and work of an audited episode with their units: at control rate, then over every physics substep (``audit_``).
-POWER_AND_WORK = {
-    "max_power": "W",
-    "audit_commanded_power": "W",
-    "max_power_measured": "W",
-    "audit_measured_power": "W",
-    "work": "J",
-    "audit_commanded_work": "J",
-    "work_gap": "-",
-    "audit_measured_work": "J",
-}
-
-
-#: Which metrics are zeros and ones.
-_RATES = ("success", "left_corridor", "unsafe")
-#: What an episode is told by besides, in the tasks that have it.
-_WHERE_THERE = ("box_size", "left_corridor", "unsafe")
+#: One value per episode, by metric.
+Rows = dict[str, NDArray[Any]]
 
 
 @torch.no_grad()
-def run_episodes(env: EnvBase, policy: Any, episodes: int) -> dict[str, np.ndarray]:
+def run_episodes(
+    env: EnvBase, policy: Any, episodes: int, *, keys: Sequence[str] = (), progress: str | None = None
+) -> Rows:
     """Run a policy deterministically and collect one row per episode.
 
-    Every environment's first episodes are taken in turn, so short episodes are not preferred. An environment whose
-    episode is over waits for the others: what the next round is drawn from does not hang on who acts.
+    The first episodes of every environment are taken in turn, so short episodes are not preferred. An environment whose
+    episode is over waits for the others, so the next round of episodes does not depend on who acts.
 
     Args:
         env: batch-locked environment with metrics in its chain.
         policy: writes the action; its mean is taken where it is stochastic.
-        episodes: how many.
+        episodes: number of episodes.
+        keys: further observations at the end of an episode to keep, ``(*B, 1)`` each.
+        progress: label of a progress bar on a terminal; None shows none.
 
     Returns:
-        For each metric, ``success``, ``progress`` and ``control_steps``, an array ``(episodes,)``; ``box_size``,
-        ``left_corridor`` and ``unsafe`` where there are such, and, where it is audited, the rest of
-        :data:`POWER_AND_WORK`.
+        For each metric, ``success``, ``progress``, ``control_steps``, ``keys`` and, where the environment is audited,
+        the rest of :data:`~ppt_rl.evaluation.columns.POWER_AND_WORK`: an array ``(episodes,)``.
 
     Raises:
         ValueError: if ``episodes`` is below 1.
@@ -79,18 +49,16 @@ def run_episodes(env: EnvBase, policy: Any, episodes: int) -> dict[str, np.ndarr
     if episodes < 1:
         raise ValueError(f"episodes is {episodes}; expected at least 1.")
     rounds = math.ceil(episodes / env.numel())
-    finished = []
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        for _ in range(rounds):
-            finished.append(_one_round(env, policy))
-    names = finished[0]
-    return {name: np.concatenate([part[name] for part in finished])[:episodes] for name in names}
+    bar = tqdm(total=rounds * env.numel(), desc=progress, unit=" episodes", disable=None if progress else True)
+    with set_exploration_type(ExplorationType.DETERMINISTIC), bar:
+        finished = [_one_round(env, policy, ("success", "progress", *keys), bar) for _ in range(rounds)]
+    return {name: np.concatenate([part[name] for part in finished])[:episodes] for name in finished[0]}
 
 
-def _one_round(env: EnvBase, policy: Any) -> dict[str, np.ndarray]:
+def _one_round(env: EnvBase, policy: Any, keys: Sequence[str], bar: tqdm) -> Rows:
     """One episode of every environment."""
     tensordict = env.reset()
-    rows: dict[str, np.ndarray] = {}
+    rows: Rows = {}
     waiting = torch.ones(env.batch_size, dtype=torch.bool)
     elapsed = torch.zeros(env.batch_size, dtype=torch.int64)
     while bool(waiting.any()):
@@ -99,86 +67,30 @@ def _one_round(env: EnvBase, policy: Any) -> dict[str, np.ndarray]:
         ended = following["done"].squeeze(-1).cpu() & waiting
         steps = following.get("control_steps", None)
         elapsed += 1 if steps is None else steps.squeeze(-1).cpu()
-        for name, value in (_episode_values(following) | {"control_steps": elapsed}).items():
+        for name, value in (_episode_values(following, keys) | {"control_steps": elapsed}).items():
             rows.setdefault(name, np.zeros(env.batch_size))[ended.numpy()] = value.cpu().numpy()[ended.numpy()]
         waiting &= ~ended
+        bar.update(int(ended.sum()))
         tensordict = env.step_mdp(tensordict)
     return rows
 
 
-def _episode_values(following: TensorDictBase) -> dict[str, torch.Tensor]:
+def _episode_values(following: TensorDictBase, keys: Sequence[str]) -> dict[str, torch.Tensor]:
     values = {name: following["metrics", name] for name in following["metrics"].keys()}
-    values |= {name: following[name].float() for name in ("success", "progress")}
-    values |= {name: following[name].float() for name in _WHERE_THERE if name in following.keys()}
+    values |= {name: following[name].float() for name in keys}
     audit = following.get("audit", None)
     if audit is not None:
         values |= {f"audit_{name}": audit[name] for name in audit.keys()}
-        booked = values["work"].clamp_min(1e-6)  # [J]
-        values["work_gap"] = (values["audit_commanded_work"] - booked) / booked
+        metered = values["work"].clamp_min(1e-6)  # [J]
+        values["work_gap"] = (values["audit_commanded_work"] - metered) / metered
     return {name: value.squeeze(-1) for name, value in values.items()}
-
-
-def interval(values: np.ndarray, *, is_rate: bool) -> tuple[float, float]:
-    """95 % confidence interval of a mean: Wilson's for a rate of successes, Student's otherwise.
-
-    Args:
-        values: one per episode.
-        is_rate: whether they are zeros and ones.
-
-    Returns:
-        Lower and upper end.
-    """
-    count = len(values)
-    if is_rate:
-        result = stats.binomtest(round(float(values.sum())), count).proportion_ci(0.95, method="wilson")
-        return float(result.low), float(result.high)
-    if count < 2:
-        return float(values.mean()), float(values.mean())
-    half = float(stats.t.ppf(0.975, count - 1) * values.std(ddof=1) / math.sqrt(count))
-    return float(values.mean()) - half, float(values.mean()) + half
-
-
-def summarise(rows: dict[str, np.ndarray], names: Iterable[str] = REPORTED) -> dict[str, dict[str, Any]]:
-    """Mean and 95 % interval of each metric.
-
-    Args:
-        rows: what :func:`run_episodes` returned.
-        names: which metrics.
-
-    Returns:
-        ``{name: {"mean": x, "ci95": [low, high]}}``; ratios stay within [0, 1].
-    """
-    summary: dict[str, dict[str, Any]] = {}
-    for name in names:
-        low, high = interval(rows[name], is_rate=name in _RATES)
-        if REPORTED.get(name) == "0-1":
-            low, high = max(0.0, low), min(1.0, high)
-        summary[name] = {"mean": float(rows[name].mean()), "ci95": [low, high]}
-    return summary
-
-
-def distribution(rows: dict[str, np.ndarray], names: Iterable[str] = POWER_AND_WORK) -> dict[str, dict[str, float]]:
-    """Mean, 95th percentile and maximum over episodes; of a relative gap, those of its size.
-
-    Args:
-        rows: what :func:`run_episodes` returned for an audited environment.
-        names: which quantities.
-
-    Returns:
-        ``{name: {"mean": x, "p95": x, "max": x}}``.
-    """
-    sizes = {name: np.abs(rows[name]) for name in names}
-    return {
-        name: {"mean": float(v.mean()), "p95": float(np.quantile(v, 0.95)), "max": float(v.max())}
-        for name, v in sizes.items()
-    }
 
 
 class ZeroPolicy:
     """The reference alone: a policy whose action is zero.
 
     Args:
-        actor: whose action's shape it takes.
+        actor: policy whose action's shape is used.
     """
 
     def __init__(self, actor: Any) -> None:
@@ -192,7 +104,7 @@ class ZeroPolicy:
 
 @torch.no_grad()
 def record_episodes(env: EnvBase, policy: Any, keys: Sequence[NestedKey]) -> TensorDictBase:
-    """One episode of every environment with what was observed after each of its control steps.
+    """Record one episode of every environment: what was observed after each of its control steps.
 
     Args:
         env: with or without a :class:`~ppt_rl.transforms.MacroStepTransform`; its trace is set to ``keys``.
@@ -231,7 +143,7 @@ def record_episodes(env: EnvBase, policy: Any, keys: Sequence[NestedKey]) -> Ten
 
 
 def _joined(chunks: Sequence[TensorDictBase], key: NestedKey) -> torch.Tensor:
-    """Traces of chunks one after the other, ``(B, T, ...)``; what a row did not execute of a chunk is left out."""
+    """Concatenated traces of chunks, ``(B, T, ...)``; steps that an environment did not execute are left out."""
     parts = [chunk["trace", key] for chunk in chunks]
     executed = [chunk["control_steps"].squeeze(-1) for chunk in chunks]
     full = torch.cat(parts, 1)

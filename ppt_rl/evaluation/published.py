@@ -1,8 +1,9 @@
-"""Small published policies: weights without code (safetensors), and a card that says what they are."""
+"""Published policies: weights without code (safetensors), and a card that describes them."""
 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,14 +14,49 @@ from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
 
+from ppt_rl.evaluation.columns import COLUMNS
+from ppt_rl.evaluation.tables import markdown, mean_and_interval
 from ppt_rl.training.checkpoint import CheckpointMismatch
 from ppt_rl.training.logs import write_bytes_atomically, write_text_atomically
 
-__all__ = ["is_pretrained", "load_pretrained", "pretrained_card", "save_pretrained"]
+__all__ = [
+    "is_pretrained",
+    "load_pretrained",
+    "pretrained_card",
+    "published_policies",
+    "published_table",
+    "save_pretrained",
+]
 
 _WEIGHTS, _CARD = "policy.safetensors", "card.json"
 #: What a card must hold.
 _NEEDED = {"variant": str, "config": dict, "sha256": str}
+
+
+def published_policies() -> dict[str, Path]:
+    """Policies that come with the library.
+
+    Returns:
+        Their directories by name.
+    """
+    folder = Path(importlib.import_module("ppt_rl.pretrained").__path__[0])
+    return {path.name: path for path in sorted(folder.iterdir()) if is_pretrained(path)}
+
+
+def published_table() -> str:
+    """The published policies with their figures as Markdown, a line for each and group of episodes.
+
+    Returns:
+        The table.
+    """
+    lines = []
+    for name, path in published_policies().items():
+        evaluation = pretrained_card(path)["evaluation"]
+        for group, summary in evaluation["summary"][name].items():
+            figures = [mean_and_interval(summary[metric]) for metric in COLUMNS]
+            lines.append([name, group, str(evaluation["episodes"]), *figures])
+    units = [f"{metric} [{column.unit}]" for metric, column in COLUMNS.items()]
+    return markdown(["policy", "group", "episodes", *units], lines)
 
 
 def is_pretrained(path: Path) -> bool:
@@ -39,9 +75,9 @@ def save_pretrained(directory: Path, modules: Mapping[str, nn.Module], card: Map
     """Write weights and card.
 
     Args:
-        directory: where to.
-        modules: what to save, by name: the actor, and what its chain needs.
-        card: JSON-compatible; at least ``variant`` and ``config``. The digest of the weights is added.
+        directory: target directory.
+        modules: modules to save, by name: the actor, and those that its chain needs.
+        card: JSON data with at least ``variant`` and ``config``. The digest of the weights is added.
     """
     tensors = {f"{name}.{key}": value.contiguous() for name, module in modules.items() for key, value in _state(module)}
     data = save_tensors(tensors)
@@ -58,7 +94,7 @@ def pretrained_card(directory: Path) -> dict[str, Any]:
     """The card of a published policy.
 
     Args:
-        directory: what :func:`save_pretrained` wrote.
+        directory: a directory that :func:`save_pretrained` wrote.
 
     Returns:
         Its content.
@@ -71,15 +107,15 @@ def pretrained_card(directory: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise CheckpointMismatch(f"{directory / _CARD} cannot be read ({error}); take a fresh copy.") from error
     if not isinstance(card, dict) or not all(isinstance(card.get(name), kind) for name, kind in _NEEDED.items()):
-        raise CheckpointMismatch(f"{directory / _CARD} is no card: expected variant, config and sha256 in it.")
+        raise CheckpointMismatch(f"{directory / _CARD} is not a card: expected variant, config and sha256 in it.")
     return card
 
 
 def load_pretrained(directory: Path, modules: Mapping[str, nn.Module]) -> None:
-    """Load a published policy into modules, after its weights were held against the card.
+    """Load a published policy into modules, after its weights were compared with the card.
 
     Args:
-        directory: what :func:`save_pretrained` wrote.
+        directory: a directory that :func:`save_pretrained` wrote.
         modules: to fill, by name.
 
     Raises:

@@ -1,9 +1,9 @@
-"""Statistics over seeds: means with intervals, interquartile means, and which of a set of orderings hold."""
+"""Statistics over episodes and over seeds: means with intervals, and tests of claimed orderings."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,16 +11,74 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-__all__ = ["Claim", "interquartile_mean", "judge", "over_seeds"]
+from ppt_rl.evaluation.columns import COLUMNS, POWER_AND_WORK, Column
 
-Array = NDArray[np.float64]
+__all__ = ["Claim", "distribution", "interquartile_mean", "interval", "judge", "over_seeds", "summarise"]
+
+Array = NDArray[Any]
+
+
+def interval(values: Array, *, is_rate: bool) -> tuple[float, float]:
+    """95 % confidence interval of a mean: Wilson's for a rate of successes, Student's otherwise.
+
+    Args:
+        values: one per episode.
+        is_rate: whether the values are zeros and ones.
+
+    Returns:
+        Lower and upper end.
+    """
+    count = len(values)
+    if is_rate:
+        result = stats.binomtest(round(float(values.sum())), count).proportion_ci(0.95, method="wilson")
+        return float(result.low), float(result.high)
+    if count < 2:
+        return float(values.mean()), float(values.mean())
+    half = float(stats.t.ppf(0.975, count - 1) * values.std(ddof=1) / math.sqrt(count))
+    return float(values.mean()) - half, float(values.mean()) + half
+
+
+def summarise(rows: Mapping[str, Array], columns: Mapping[str, Column] = COLUMNS) -> dict[str, dict[str, Any]]:
+    """Mean and 95 % interval of each metric.
+
+    Args:
+        rows: what :func:`run_episodes` returned.
+        columns: metrics to summarise.
+
+    Returns:
+        ``{name: {"mean": x, "ci95": [low, high]}}``; ratios stay within [0, 1].
+    """
+    summary: dict[str, dict[str, Any]] = {}
+    for name, column in columns.items():
+        low, high = interval(rows[name], is_rate=column.is_rate)
+        if column.unit == "0-1":
+            low, high = max(0.0, low), min(1.0, high)
+        summary[name] = {"mean": float(rows[name].mean()), "ci95": [low, high]}
+    return summary
+
+
+def distribution(rows: Mapping[str, Array], names: Iterable[str] = POWER_AND_WORK) -> dict[str, dict[str, float]]:
+    """Mean, 95th percentile and maximum over episodes of each quantity's magnitude.
+
+    Args:
+        rows: what :func:`run_episodes` returned for an audited environment.
+        names: quantities to describe.
+
+    Returns:
+        ``{name: {"mean": x, "p95": x, "max": x}}``.
+    """
+    sizes = {name: np.abs(rows[name]) for name in names}
+    return {
+        name: {"mean": float(v.mean()), "p95": float(np.quantile(v, 0.95)), "max": float(v.max())}
+        for name, v in sizes.items()
+    }
 
 
 def interquartile_mean(values: Sequence[float] | Array) -> float:
-    """Mean of what is left when a quarter is cut off at either end.
+    """Interquartile mean: the mean after removing the lowest and the highest quarter.
 
     Args:
-        values: at least one; with fewer than four nothing is cut off.
+        values: at least one; with fewer than four, none is removed.
 
     Returns:
         The mean.
@@ -53,9 +111,9 @@ class Claim:
 
     Attributes:
         metric: its name.
-        better: the variant that is said to be better.
+        better: the variant claimed to be better.
         worse: the other one.
-        higher_is_better: which way the metric points.
+        higher_is_better: whether a higher value of the metric is better.
         spread: whether the claim is about the spread over seeds instead of the mean.
     """
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ def episode_frames(
     env: ArmEnv,
     episodes: TensorDictBase,
     rows: Sequence[int],
+    configuration: Sequence[str],
     *,
     every: int = 4,
     cameras: Sequence[str] = ("overview", "top"),
@@ -32,12 +33,12 @@ def episode_frames(
     """Frames of recorded episodes, cameras side by side.
 
     Args:
-        env: the environment the episodes come from, not reset since: boxes and goals, or mazes, are its present ones.
-        episodes: holds ``("trace", "joint_position")`` (B, T, n) and, where there is a box, ``("trace", "box_pose")``
-            (B, T, 7).
-        rows: which environments.
+        env: the environment the episodes come from, not reset since: what else is in the scene is taken from it.
+        episodes: holds ``control_steps`` and ``("trace", key)``, ``(B, T, n)``, for each key of ``configuration``.
+        rows: indices of the environments, filmed one after the other.
+        configuration: observations that together are MuJoCo's generalised positions, in order.
         every: control steps between frames.
-        cameras: which.
+        cameras: names of cameras, side by side.
         size: width and height of each picture [pixels]; both even.
 
     Yields:
@@ -49,8 +50,7 @@ def episode_frames(
     for row in rows:
         steps = int(episodes["control_steps"][row])
         trace = episodes["trace"][row]
-        parts = [trace[key] for key in ("joint_position", "box_pose") if key in trace.keys()]
-        positions = torch.cat(parts, -1).double().numpy()[:steps:every]
+        positions = torch.cat([trace[key] for key in configuration], -1).double().numpy()[:steps:every]
         views = [pictures(env, row, positions, camera=camera, size=size) for camera in cameras]
         for frames in zip(*views, strict=True):
             yield np.concatenate(frames, 1)
@@ -62,9 +62,9 @@ def pictures(
     """Pictures of one environment in given configurations.
 
     Args:
-        env: its box and goal, or maze, are the present ones of ``row``.
-        row: which environment.
-        positions: ``(N, nq)`` joint positions, then the box's pose where there is one.
+        env: what else is in the scene is taken from its environment ``row``.
+        row: index of the environment.
+        positions: ``(N, nq)`` generalised positions.
         camera: name of a camera of the scene.
         size: width and height [pixels].
 
@@ -82,13 +82,13 @@ def pictures(
         yield physics.render(height=size[1], width=size[0], camera_id=camera)
 
 
-def write_video(path: Path, frames: Iterator[Image], fps: float) -> None:
+def write_video(path: Path, frames: Iterable[Image], fps: float) -> None:
     """Write an H.264 video atomically.
 
     Args:
-        path: ends in ``.mp4``.
+        path: path of the video, ending in ``.mp4``.
         frames: RGB images of one size.
-        fps: frames a second.
+        fps: frames per second.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".draft-{path.name}")

@@ -1,28 +1,29 @@
-"""Refuse bad tensors before they do damage: shapes, finiteness, ranges."""
+"""Checks that refuse bad input early: shapes, finiteness, ranges."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
 
-__all__ = ["require_finite", "require_last_dim", "require_positive"]
+__all__ = ["require_finite", "require_last_dim", "require_positive", "require_ranges"]
 
 
 def require_finite(name: str, value: Tensor) -> None:
-    """Raise when ``value`` holds NaN or infinity.
+    """Raise if ``value`` contains NaN or infinity.
 
-    On a GPU the check is asynchronous (no host synchronisation) and surfaces as a device assertion.
+    On a GPU the check does not synchronise with the host: it fails later, as a device-side assertion.
 
     Args:
-        name: what the tensor is, for the message.
+        name: what the tensor is, for the error message.
         value: any tensor.
 
     Raises:
-        ValueError: if an entry is not finite (CPU tensors).
+        ValueError: if an entry of a CPU tensor is not finite.
     """
-    # A sum is finite exactly when every term is (up to overflow, which the slow path resolves).
+    # If the sum is finite, so is every entry. The converse fails on overflow only: then each entry is checked.
     if value.device.type != "cpu":
         torch._assert_async(torch.isfinite(value).all(), f"{name} is not finite")
         return
@@ -35,10 +36,10 @@ def require_finite(name: str, value: Tensor) -> None:
 
 
 def require_last_dim(name: str, value: Tensor, size: int) -> None:
-    """Raise when the last dimension of ``value`` is not ``size``.
+    """Raise if the last dimension of ``value`` is not ``size``.
 
     Args:
-        name: what the tensor is, for the message.
+        name: what the tensor is, for the error message.
         value: any tensor.
         size: expected size of its last dimension.
 
@@ -50,15 +51,15 @@ def require_last_dim(name: str, value: Tensor, size: int) -> None:
 
 
 def require_positive(name: str, value: float, unit: str = "") -> float:
-    """Return ``value`` as a float, refusing anything that is not positive and finite.
+    """Return ``value`` as a float; raise unless it is positive and finite.
 
     Args:
-        name: name of the parameter, for the message.
+        name: name of the parameter, for the error message.
         value: the number.
-        unit: its unit, for the message.
+        unit: its unit, for the error message.
 
     Returns:
-        The number as ``float``.
+        The number as a ``float``.
 
     Raises:
         ValueError: if the number is not finite or not above zero.
@@ -67,3 +68,17 @@ def require_positive(name: str, value: float, unit: str = "") -> float:
     if not math.isfinite(number) or number <= 0.0:
         raise ValueError(f"{name} is {value}; expected a finite number above 0 {unit}".rstrip() + ".")
     return number
+
+
+def require_ranges(ranges: Any) -> None:
+    """Raise if a range of a dataclass of ranges is empty; its lower bound may equal its upper bound.
+
+    Args:
+        ranges: a dataclass instance in which every field is a pair ``(low, high)``.
+
+    Raises:
+        ValueError: if ``low <= high`` does not hold for a field.
+    """
+    for name, (low, high) in vars(ranges).items():
+        if not low <= high:
+            raise ValueError(f"{type(ranges).__name__}.{name} is ({low}, {high}); expected low <= high.")

@@ -1,4 +1,4 @@
-"""Cartesian impedance: orientation error, wrench, joint torque, nullspace torque."""
+"""Cartesian impedance control: orientation error, wrench, joint torque, nullspace torque."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ __all__ = ["cartesian_impedance", "critical_damping", "joint_torque", "nullspace
 
 
 def orientation_error(quat: Tensor, reference_quat: Tensor) -> Tensor:
-    r"""Restoring orientation error in world axes.
+    r"""Orientation error in world axes, pointing from the current to the desired orientation.
 
     .. math:: e_R = -\tfrac12 R_d\,(R_d^\top R - R^\top R_d)^\vee = -\sin(\theta)\, n
 
-    where ``R R_d^T`` turns by ``theta`` about the world axis ``n``. A torque along ``e_R`` turns ``R`` towards ``R_d``.
-    In quaternions, with ``q q_d^* = (w, v)``, it is ``-2 w v``: what is computed here.
+    where ``R R_d^T`` is a rotation by ``theta`` about the world axis ``n``. A torque along ``e_R`` turns ``R`` towards
+    ``R_d``. The function computes the equivalent quaternion form ``-2 w v`` with ``q q_d^* = (w, v)``.
 
     Args:
         quat: ``(*B, 4)`` current orientation, w first.
@@ -24,7 +24,7 @@ def orientation_error(quat: Tensor, reference_quat: Tensor) -> Tensor:
         ``(*B, 3)`` error [-], world axes.
 
     Source:
-        Paper, section "Cartesian Impedance Control", with the sign and the frame corrected (docs/method.md).
+        Paper, section "Cartesian Impedance Control", with its sign and its frame corrected (docs/method.md).
     """
     w, v = quat[..., :1], quat[..., 1:]
     wd, vd = reference_quat[..., :1], reference_quat[..., 1:]
@@ -34,7 +34,7 @@ def orientation_error(quat: Tensor, reference_quat: Tensor) -> Tensor:
 
 
 def critical_damping(stiffness: Tensor, damping_ratio: Tensor, inertia: Tensor) -> Tensor:
-    r"""Damping per axis, ``d = 2 zeta sqrt(k m)``.
+    r"""Damping of each axis that gives a damping ratio: ``d = 2 zeta sqrt(k m)``.
 
     Args:
         stiffness: ``(*B, 6)`` [N/m, N m/rad].
@@ -50,7 +50,7 @@ def critical_damping(stiffness: Tensor, damping_ratio: Tensor, inertia: Tensor) 
 def cartesian_impedance(
     pose: Tensor, twist: Tensor, reference_pose: Tensor, reference_twist: Tensor, stiffness: Tensor, damping: Tensor
 ) -> Tensor:
-    r"""Wrench of a spring and damper between the end effector and its reference.
+    r"""Wrench of a spring and a damper between the end effector and its reference.
 
     .. math:: \lambda = K\,[x_d - x;\ e_R] + D\,(\nu_d - \nu)
 
@@ -66,7 +66,7 @@ def cartesian_impedance(
         ``(*B, 6)`` wrench applied by the robot, world axes, at the end-effector point [N, N m].
 
     Source:
-        Paper, eq. (5), with :func:`orientation_error` in place of the printed error.
+        Paper, eq. (5), with :func:`orientation_error` instead of the error printed there.
     """
     position_error = reference_pose[..., :3] - pose[..., :3]  # [m]
     rotation_error = orientation_error(pose[..., 3:], reference_pose[..., 3:])  # [-]
@@ -75,7 +75,7 @@ def cartesian_impedance(
 
 
 def joint_torque(jacobian: Tensor, wrench: Tensor) -> Tensor:
-    """Joint torque that applies ``wrench`` at the end effector: ``J^T wrench``.
+    """Joint torque that makes the end effector apply ``wrench``: ``J^T wrench``.
 
     Args:
         jacobian: ``(*B, 6, N)`` geometric Jacobian, world axes.
@@ -88,18 +88,18 @@ def joint_torque(jacobian: Tensor, wrench: Tensor) -> Tensor:
 
 
 def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping: float = 0.02) -> Tensor:
-    r"""Part of ``torque`` that moves the arm without accelerating the end effector.
+    r"""The part of ``torque`` that moves the arm without accelerating the end effector.
 
     .. math:: \tau_n = \big(I - J^\top (J M^{-1} J^\top + \mu^2 I)^{-1} J M^{-1}\big)\, \tau
 
-    the dynamically consistent projection for a diagonal inertia ``M``; the damping bounds it through singularities.
-    With ``M = I`` it is the kinematic projection.
+    This is the dynamically consistent projection for a diagonal inertia ``M``; with ``M = I`` it is the kinematic
+    projection. The damping ``mu`` keeps it bounded near singularities.
 
     Args:
         jacobian: ``(*B, 6, N)`` geometric Jacobian.
         torque: ``(*B, N)`` posture torque before projection [N m].
         inertia: ``(N,)`` diagonal of M, approximate joint inertia [kg m^2].
-        damping: ``mu`` [kg^-1/2].
+        damping: regularisation ``mu`` [kg^-1/2].
 
     Returns:
         ``(*B, N)`` projected torque [N m].
@@ -110,13 +110,13 @@ def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping:
     weighted = jacobian / inertia  # J M^-1
     gram = weighted @ jacobian.mT
     gram.diagonal(dim1=-2, dim2=-1).add_(damping**2)
-    factor, _ = torch.linalg.cholesky_ex(gram)  # positive definite by construction: no check, no synchronisation
+    factor, _ = torch.linalg.cholesky_ex(gram)  # positive definite by construction, so no check that synchronises
     solved = torch.cholesky_solve(weighted @ torque.unsqueeze(-1), factor)
     return torque - (jacobian.mT @ solved).squeeze(-1)
 
 
 def power(effort: Tensor, flow: Tensor) -> Tensor:
-    """Power ``effort . flow``, positive when energy leaves the robot.
+    """Power ``effort . flow``, positive where the robot does work on the world.
 
     Args:
         effort: ``(*B, N)`` wrench [N, N m] or joint torque [N m].

@@ -7,13 +7,21 @@ step to step costs one entry.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
 import torch
 from scipy import signal
 from torch import Tensor
 
-__all__ = ["MEMORY_SIZE", "METRICS", "MetricsConfig", "begin_metrics", "summarise_metrics", "update_metrics"]
+__all__ = [
+    "MEMORY_SIZE",
+    "METRICS",
+    "MetricsConfig",
+    "begin_metrics",
+    "low_pass",
+    "summarise_metrics",
+    "update_metrics",
+]
 
 #: Names of the summary, in order.
 METRICS = (
@@ -37,50 +45,56 @@ class MetricsConfig:
     """Constants of the metrics.
 
     Attributes:
-        dt: control step [s].
         p_max: power above which a step counts as overload [W].
         contact_force: force above which a step counts as contact [N].
         cutoff: of the second-order Butterworth low-pass on velocity and force [Hz].
     """
 
-    dt: float = 0.01
     p_max: float = 2.0
     contact_force: float = 0.05
     cutoff: float = 10.0
 
     def __post_init__(self) -> None:
         """Refuse impossible constants."""
-        for name in ("dt", "p_max", "contact_force", "cutoff"):
+        for name in ("p_max", "contact_force", "cutoff"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}; expected a number above 0.")
-        if self.cutoff * self.dt >= 0.5:
-            raise ValueError(f"cutoff {self.cutoff} Hz; expected below half the control rate, {0.5 / self.dt} Hz.")
-
-    @cached_property
-    def filter(self) -> tuple[float, float, float, float, float]:
-        """Low-pass coefficients b0, b1, b2, a1, a2 (a0 = 1)."""
-        b, a = signal.butter(2, self.cutoff, fs=1.0 / self.dt)
-        return float(b[0]), float(b[1]), float(b[2]), float(a[1]), float(a[2])
-
-    @cached_property
-    def bin_edges(self) -> Tensor:
-        """Upper edges of all bins but the last [N]."""
-        return _FLOOR * 10.0 ** (torch.arange(1, _BINS, dtype=torch.float64) * (_DECADES / _BINS))
 
 
-def begin_metrics(twist: Tensor, wrench: Tensor, config: MetricsConfig) -> Tensor:
+@lru_cache
+def low_pass(cutoff: float, dt: float) -> tuple[float, float, float, float, float]:
+    """Coefficients of a second-order Butterworth low-pass.
+
+    Args:
+        cutoff: cut-off frequency [Hz], below half the control rate.
+        dt: control step [s].
+
+    Returns:
+        ``b0, b1, b2, a1, a2`` of the transfer function, with ``a0 = 1``.
+
+    Raises:
+        ValueError: if the cut-off is not below half the control rate.
+    """
+    if cutoff * dt >= 0.5:
+        raise ValueError(f"cutoff is {cutoff} Hz; expected a frequency below half the control rate, {0.5 / dt} Hz.")
+    b, a = signal.butter(2, cutoff, fs=1.0 / dt)
+    return float(b[0]), float(b[1]), float(b[2]), float(a[1]), float(a[2])
+
+
+def begin_metrics(twist: Tensor, wrench: Tensor, config: MetricsConfig, *, dt: float) -> Tensor:
     """Memory at the start of an episode: the filters rest at the first reading.
 
     Args:
         twist: ``(*B, 6)`` measured twist [m/s, rad/s].
         wrench: ``(*B, 6)`` measured wrench [N, N m].
         config: constants.
+        dt: control step [s].
 
     Returns:
         ``(*B, MEMORY_SIZE)`` memory.
     """
     x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
-    b0, _, b2, _, a2 = config.filter
+    b0, _, b2, _, a2 = low_pass(config.cutoff, dt)
     memory = x.new_zeros(*x.shape[:-1], MEMORY_SIZE)
     memory[..., _Z1] = (1 - b0) * x
     memory[..., _Z2] = (b2 - a2) * x
@@ -89,7 +103,9 @@ def begin_metrics(twist: Tensor, wrench: Tensor, config: MetricsConfig) -> Tenso
     return memory
 
 
-def update_metrics(memory: Tensor, twist: Tensor, wrench: Tensor, power: Tensor, config: MetricsConfig) -> Tensor:
+def update_metrics(
+    memory: Tensor, twist: Tensor, wrench: Tensor, power: Tensor, config: MetricsConfig, *, dt: float
+) -> Tensor:
     """Memory after one more control step.
 
     Args:
@@ -98,18 +114,19 @@ def update_metrics(memory: Tensor, twist: Tensor, wrench: Tensor, power: Tensor,
         wrench: ``(*B, 6)`` measured wrench on the world [N, N m].
         power: ``(*B, 1)`` commanded power [W].
         config: constants.
+        dt: control step [s].
 
     Returns:
         ``(*B, MEMORY_SIZE)`` new memory; the old one is left alone.
     """
-    b0, b1, b2, a1, a2 = config.filter
+    b0, b1, b2, a1, a2 = low_pass(config.cutoff, dt)
     x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
     y = torch.add(memory[..., _Z1], x, alpha=b0)
     z1 = memory[..., _Z2].add(x, alpha=b1).add_(y, alpha=-a1)
     z2 = (b2 * x).add_(y, alpha=-a2)
     velocity, force = y[..., :3], torch.linalg.vector_norm(y[..., 3:], dim=-1, keepdim=True)
     v1 = memory[..., _V1]
-    jerk = torch.add(velocity, v1, alpha=-2).add_(memory[..., _V2]) / config.dt**2  # [m/s^3]
+    jerk = torch.add(velocity, v1, alpha=-2).add_(memory[..., _V2]) / dt**2  # [m/s^3]
     measured = (twist * wrench).sum(-1, keepdim=True).abs()  # [W]
     contact = force > config.contact_force
     count, first, last = memory[..., :1], memory[..., _FIRST : _FIRST + 1], memory[..., _LAST : _LAST + 1]
@@ -117,9 +134,9 @@ def update_metrics(memory: Tensor, twist: Tensor, wrench: Tensor, power: Tensor,
     last = torch.where(contact, count, last)
     flags = torch.cat([torch.ones_like(contact), measured > config.p_max, contact], -1).to(x.dtype)
     power = power.abs()  # [W]
-    sums = memory[..., _SUMS] + torch.cat([flags, jerk.square_().sum(-1, keepdim=True), config.dt * power], -1)
+    sums = memory[..., _SUMS] + torch.cat([flags, jerk.square_().sum(-1, keepdim=True), dt * power], -1)
     maxima = torch.maximum(memory[..., _MAXIMA], torch.cat([power, measured], -1))
-    index = torch.bucketize(force, config.bin_edges.to(force), right=True)
+    index = torch.bucketize(force, _bin_edges(force.dtype, force.device), right=True)
     histogram = memory[..., _HISTOGRAM].scatter_add(-1, index, torch.ones_like(force))
     return torch.cat([sums, maxima, first, last, z1, z2, velocity, v1, histogram], -1)
 
@@ -152,3 +169,10 @@ def summarise_metrics(memory: Tensor) -> dict[str, Tensor]:
         "work": memory[..., _WORK],
     }
     return {name: value.unsqueeze(-1) for name, value in values.items()}
+
+
+@lru_cache
+def _bin_edges(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Upper edges of all bins of the histogram but the last [N]."""
+    edges = _FLOOR * 10.0 ** (torch.arange(1, _BINS, dtype=torch.float64) * (_DECADES / _BINS))
+    return edges.to(device, dtype)

@@ -1,4 +1,4 @@
-"""Unit quaternions ``(w, x, y, z)`` and rotation matrices, batched and safe to differentiate."""
+"""Unit quaternions ``(w, x, y, z)`` and rotation matrices: batched, with finite gradients."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = [
 
 
 def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
-    """Hamilton product ``a * b``: the rotation ``b`` followed by ``a``.
+    """Hamilton product ``a * b``: rotation ``b`` first, then ``a``.
 
     Args:
         a: ``(*B, 4)`` quaternion, w first.
@@ -38,7 +38,7 @@ def quat_conjugate(quat: Tensor) -> Tensor:
     """Inverse of a unit quaternion.
 
     Args:
-        quat: ``(*B, 4)``, w first.
+        quat: ``(*B, 4)`` unit quaternion, w first.
 
     Returns:
         ``(*B, 4)`` conjugate.
@@ -51,7 +51,7 @@ def quat_rotate(quat: Tensor, vector: Tensor) -> Tensor:
 
     Args:
         quat: ``(*B, 4)`` unit quaternion ``(w, u)``.
-        vector: ``(*B, 3)``.
+        vector: ``(*B, 3)`` vector.
 
     Returns:
         ``(*B, 3)`` rotated vector.
@@ -65,7 +65,7 @@ def quat_to_matrix(quat: Tensor) -> Tensor:
     """Rotation matrix of a unit quaternion.
 
     Args:
-        quat: ``(*B, 4)``, w first.
+        quat: ``(*B, 4)`` unit quaternion, w first.
 
     Returns:
         ``(*B, 3, 3)`` rotation matrix.
@@ -80,9 +80,10 @@ def quat_to_matrix(quat: Tensor) -> Tensor:
 
 
 def matrix_to_quat(matrix: Tensor) -> Tensor:
-    """Unit quaternion, ``w >= 0``, of a rotation matrix.
+    """Unit quaternion of a rotation matrix, with ``w >= 0``.
 
-    Of the four algebraically equal forms the one with the largest divisor is taken: no division by a small number.
+    Four algebraically equal forms divide by different numbers; the one with the largest divisor is used, so that the
+    division is always well conditioned.
 
     Args:
         matrix: ``(*B, 3, 3)`` rotation matrix.
@@ -92,7 +93,7 @@ def matrix_to_quat(matrix: Tensor) -> Tensor:
     """
     m = matrix
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    # 4 q q^T, row by row: row i equals 4 q_i q.
+    # The entries of 4 q q^T; its row i is 4 q_i q.
     ww, xx = 1 + m00 + m11 + m22, 1 + m00 - m11 - m22
     yy, zz = 1 - m00 + m11 - m22, 1 - m00 - m11 + m22
     wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
@@ -119,10 +120,10 @@ def quat_from_yaw(yaw: Tensor) -> Tensor:
 
 
 def yaw_from_quat(quat: Tensor) -> Tensor:
-    """Yaw of the z-y-x Euler angles of a quaternion.
+    """Yaw angle of a quaternion, in z-y-x Euler angles.
 
     Args:
-        quat: ``(*B, 4)``, w first.
+        quat: ``(*B, 4)`` unit quaternion, w first.
 
     Returns:
         ``(*B,)`` yaw in (-pi, pi] [rad].

@@ -1,4 +1,4 @@
-"""Modules that hold parameters: movement primitive, impedance gains, kinematics, networks."""
+"""Modules with parameters: movement primitive, impedance controller, kinematics, actor and critic."""
 
 from ppt_rl.modules.actor_critic import Mirror, make_actor, make_critic
 from ppt_rl.modules.impedance import CartesianImpedanceController

@@ -1,4 +1,4 @@
-"""Gaussian actor and value network: 256-256-128 ReLU on normalised inputs."""
+"""Gaussian actor and value network: three ReLU layers (256, 256, 128) on normalised inputs."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ HIDDEN = (256, 256, 128)
 
 
 class InputNorm(nn.Module):
-    """Concatenates inputs and standardises them: ``(x - loc) / scale``, clipped to ``+-limit``.
+    """Concatenate the inputs and standardise them: ``(x - loc) / scale``, clipped to ``+-limit``.
 
-    The statistics are buffers, so a checkpoint carries them; :meth:`update` takes data into them.
+    The statistics are buffers, so checkpoints contain them. They change only in :meth:`update`.
 
     Args:
         size: total number of input features.
         limit: bound on a standardised feature [-].
-        floor: smallest spread; a feature that varies less is left out, as constant.
+        floor: smallest standard deviation; a feature that varies less counts as constant and becomes zero.
     """
 
     loc: Tensor
@@ -45,13 +45,13 @@ class InputNorm(nn.Module):
 
     @torch.no_grad()
     def update(self, *inputs: Tensor) -> None:
-        """Merge data into the statistics, which are those of all data seen so far.
+        """Update mean and variance to those of all data seen so far, including these samples.
 
         Args:
             *inputs: ``(*B, n_i)`` samples of each input.
         """
         data = torch.cat(inputs, -1).flatten(0, -2)
-        share = len(data) / (self.count + len(data)).to(data.dtype)  # of the new data
+        share = len(data) / (self.count + len(data)).to(data.dtype)  # share of the new data in all data
         difference = data.mean(0) - self.loc
         variance = (1 - share) * self.variance + share * data.var(0, correction=0)
         self.variance.copy_(variance + share * (1 - share) * difference.square())
@@ -61,24 +61,24 @@ class InputNorm(nn.Module):
         self.scale.copy_(torch.where(std < self.floor, torch.full_like(std, torch.inf), std))
 
     def forward(self, *inputs: Tensor) -> Tensor:
-        """Standardised concatenation.
+        """Concatenate and standardise.
 
         Args:
-            *inputs: ``(*B, n_i)`` each.
+            *inputs: ``(*B, n_i)`` inputs.
 
         Returns:
-            ``(*B, sum n_i)``.
+            ``(*B, sum n_i)`` standardised features.
         """
         x = torch.cat(inputs, -1)
         return ((x - self.loc) / self.scale).clamp(-self.limit, self.limit)
 
 
 class Mirror(NamedTuple):
-    """How inputs and action look in a mirror, where a task and its mirror image are the same task.
+    """How a reflection changes inputs and action, for a task that is the same task when reflected.
 
     Attributes:
-        inputs: a factor of +1 or -1 for each input feature.
-        action: a factor of +1 or -1 for each number of the action.
+        inputs: factor +1 or -1 of each input feature.
+        action: factor +1 or -1 of each component of the action.
     """
 
     inputs: Sequence[float]
@@ -86,7 +86,7 @@ class Mirror(NamedTuple):
 
 
 class _Network(nn.Module):
-    """Input normalisation, hidden layers and a head; with a mirror, the mean of what is said here and in the mirror."""
+    """Input normalisation, hidden layers and a head; with a mirror, the hidden layers are made equivariant."""
 
     mirrored_in: Tensor | None
     mirrored_out: Tensor | None
@@ -99,7 +99,7 @@ class _Network(nn.Module):
         for name, size, signs in zip(("in", "out"), (in_size, out_size), mirror or (None, None), strict=True):
             if signs is not None and (len(signs) != size or any(abs(sign) != 1 for sign in signs)):
                 raise ValueError(
-                    f"mirror has the factors {list(signs)} for {size} numbers; expected +1 or -1 for each."
+                    f"mirror has the factors {list(signs)} for {size} entries; expected +1 or -1 for each."
                 )
             factors = None if signs is None else torch.as_tensor(signs, dtype=torch.get_default_dtype())
             self.register_buffer(f"mirrored_{name}", factors, persistent=False)
@@ -121,25 +121,25 @@ def make_actor(
     initial_scale: float = 1.0,
     mirror: Mirror | None = None,
 ) -> ProbabilisticActor:
-    r"""Gaussian actor with a state-independent scale; its last layer starts near zero, so the mean does too.
+    r"""Gaussian actor with a state-independent scale. Its last layer starts near zero, and so does its mean.
 
-    With a mirror ``(S, T)`` its mean is equivariant, ``\mu(S o) = T \mu(o)``, whatever the network ``f`` learns:
+    With a mirror ``(S, T)`` the mean is equivariant, ``\mu(S o) = T \mu(o)``, whatever the network ``f`` learns:
 
     .. math:: \mu(o) = \tfrac12 \big( f(o) + T f(S o) \big)
 
     Args:
-        in_keys: observations it reads, concatenated in this order.
+        in_keys: observations that it reads, concatenated in this order.
         in_size: their total size.
         action_size: size of the action.
-        action_key: where it writes.
-        initial_scale: standard deviation at the start, in units of the action.
-        mirror: a symmetry of the task; None for none.
+        action_key: key that it writes.
+        initial_scale: initial standard deviation, in units of the action.
+        mirror: reflection under which the task is the same; None for none.
 
     Returns:
-        The actor. Its statistics of the inputs are set by :func:`update_input_norm`.
+        The actor. Set its input statistics with :func:`update_input_norm`.
 
     Raises:
-        ValueError: if the mirror does not fit.
+        ValueError: if the mirror does not fit the sizes.
     """
     head = AddStateIndependentNormalScale(action_size, scale_lb=1e-3, init_value=math.log(initial_scale))
     network = _Network(in_size, action_size, head, mirror)
@@ -157,24 +157,24 @@ def make_actor(
 
 
 def make_critic(in_keys: Sequence[str], in_size: int) -> ValueOperator:
-    """State-value network; it may read privileged observations, since only training needs it.
+    """State-value network. It may read privileged observations, since only training uses it.
 
     Args:
-        in_keys: observations it reads, concatenated in this order.
+        in_keys: observations that it reads, concatenated in this order.
         in_size: their total size.
 
     Returns:
-        The critic. Its statistics of the inputs are set by :func:`update_input_norm`.
+        The critic. Set its input statistics with :func:`update_input_norm`.
     """
     return ValueOperator(_Network(in_size, 1, nn.Identity()), in_keys=list(in_keys))
 
 
 def update_input_norm(module: TensorDictModule, data: TensorDictBase) -> None:
-    """Take data into an actor's or a critic's input statistics.
+    """Update the input statistics of an actor or a critic with new data.
 
     Args:
-        module: what :func:`make_actor` or :func:`make_critic` returned.
-        data: holds the module's observations, ``(*B, n_i)`` each.
+        module: an actor from :func:`make_actor` or a critic from :func:`make_critic`.
+        data: contains the observations that the module reads, ``(*B, n_i)`` each.
     """
     norm = next(part for part in module.modules() if isinstance(part, InputNorm))
     inner = module[0] if isinstance(module, ProbabilisticActor) else module

@@ -1,4 +1,4 @@
-"""A probabilistic movement primitive with its prior."""
+"""A probabilistic movement primitive (ProMP) with its prior."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from ppt_rl.functional import promp as law
 from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
+from ppt_rl.functional.promp_fit import fit_em, fit_ridge
 
 __all__ = ["ProMP"]
 
@@ -16,18 +17,18 @@ __all__ = ["ProMP"]
 class ProMP(nn.Module):
     r"""Trajectories ``y(phase) = Phi(phase) W`` with a Gaussian prior over ``vec(W)``.
 
-    Centres, widths and the prior live in ``state_dict``. The prior is a standard normal until it is fitted or loaded.
+    Centres, widths and prior are part of ``state_dict``. The prior is a standard normal until it is fitted or loaded.
 
     Args:
-        num_basis: K basis functions, at least 2.
-        num_dof: D task-space degrees of freedom.
-        duration: of a trajectory from phase 0 to phase 1 [s].
-        overlap: width of a basis function in units of the distance between centres.
+        num_basis: number of basis functions K, at least 2.
+        num_dof: number of task-space degrees of freedom D.
+        duration: time from phase 0 to phase 1 [s].
+        overlap: width of a basis function as a multiple of the distance between centres [-].
         centres: ``(K,)`` centres in phase; None spreads them evenly over [0, 1].
         widths: ``(K,)`` widths in phase; None derives them from ``overlap``.
 
     Raises:
-        ValueError: if a number is out of range or the shapes do not fit.
+        ValueError: if a number is out of range or a shape does not fit.
 
     Source:
         Paper, eqs. (11) to (16).
@@ -81,25 +82,25 @@ class ProMP(nn.Module):
         return law.Gaussian(law.vec(self.weights_mean), self.weights_cov)
 
     def basis(self, phase: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Basis and its first two derivatives in phase.
+        """Basis functions and their first two derivatives with respect to phase.
 
         Args:
-            phase: ``(*B,)`` [-].
+            phase: ``(*B,)`` phase [-].
 
         Returns:
-            Three tensors ``(*B, K)``.
+            Three tensors ``(*B, K)``: value, first and second derivative.
         """
         return law.basis(phase, self.centres.to(phase.dtype), self.widths.to(phase.dtype))
 
     def decode(self, weights: Tensor, phase: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Position, velocity and acceleration at given phases, the derivatives analytic.
+        """Position, velocity and acceleration at given phases; the derivatives are analytic.
 
         Args:
-            weights: ``(*B, K, D)``.
-            phase: ``(T,)`` or ``(*B, T)`` [-].
+            weights: ``(*B, K, D)`` weights.
+            phase: ``(T,)`` or ``(*B, T)`` phases [-].
 
         Returns:
-            Three tensors ``(*B, T, D)``: [unit of y], [unit/s], [unit/s^2].
+            Three tensors ``(*B, T, D)`` in the unit of y, per second, and per second squared.
 
         Raises:
             ValueError: if the weights are not ``(*B, K, D)``.
@@ -110,21 +111,17 @@ class ProMP(nn.Module):
             )
         value, first, second = self.basis(phase)
         rate = 1.0 / self.duration  # [1/s]
-        return (
-            law.decode(value, weights),
-            law.decode(first, weights) * rate,
-            law.decode(second, weights) * rate**2,
-        )
+        return law.decode(value, weights), law.decode(first, weights) * rate, law.decode(second, weights) * rate**2
 
     def sample(self, num_samples: int, generator: torch.Generator | None = None) -> Tensor:
-        """Weights drawn from the prior.
+        """Draw weights from the prior.
 
         Args:
-            num_samples: how many.
+            num_samples: number of samples.
             generator: source of randomness; None takes torch's global one.
 
         Returns:
-            ``(num_samples, K, D)``.
+            ``(num_samples, K, D)`` weights.
         """
         cov = self.weights_cov.double()
         eye = torch.eye(len(cov), dtype=cov.dtype, device=cov.device)
@@ -135,23 +132,25 @@ class ProMP(nn.Module):
     def fit(self, demonstrations: Tensor | Sequence[Tensor], *, ridge: float = 1e-6) -> ProMP:
         """Fit the prior to demonstrations, in place.
 
-        Equal lengths: ridge regression of each, then mean and covariance. Differing lengths: expectation maximisation.
-        The phase of a demonstration runs from 0 at its first sample to 1 at its last.
+        Demonstrations of equal length are fitted by ridge regression, others by expectation maximisation. The phase
+        runs from 0 at the first sample of a demonstration to 1 at its last.
 
         Args:
             demonstrations: ``(N, T, D)``, or a sequence of N tensors ``(T_n, D)``.
-            ridge: penalty of the regression and floor of the covariance's diagonal [unit of y squared].
+            ridge: penalty of the regression; also added to the diagonal of the covariance [unit of y squared].
 
         Returns:
             The ProMP itself.
 
         Raises:
-            ValueError: if shapes do not fit, there are fewer than two demonstrations, or a sample is not finite.
+            ValueError: if a shape does not fit, there are fewer than two demonstrations, or a sample is not finite.
         """
         if isinstance(demonstrations, Tensor):
             demonstrations = list(demonstrations)
         if len(demonstrations) < 2:
-            raise ValueError(f"{len(demonstrations)} demonstrations; expected at least 2, to see how they vary.")
+            raise ValueError(
+                f"got {len(demonstrations)} demonstrations; expected at least 2, to estimate a covariance."
+            )
         for demonstration in demonstrations:
             require_last_dim("demonstration", demonstration, self.num_dof)
             require_finite("demonstration", demonstration)
@@ -160,12 +159,12 @@ class ProMP(nn.Module):
         series = [d.to(self.centres.device, torch.float64) for d in demonstrations]
         phases = [torch.linspace(0.0, 1.0, len(d), dtype=torch.float64, device=d.device) for d in series]
         if len({len(d) for d in series}) == 1:
-            prior = law.fit_ridge(torch.stack(series), self.basis(phases[0])[0], ridge)
+            prior = fit_ridge(torch.stack(series), self.basis(phases[0])[0], ridge)
         else:
             pad = torch.nn.utils.rnn.pad_sequence
             mask = pad([torch.ones_like(p, dtype=torch.bool) for p in phases], batch_first=True)
             basis = self.basis(pad(phases, batch_first=True))[0]
-            prior, _ = law.fit_em(pad(series, batch_first=True), mask, basis, ridge)
+            prior, _ = fit_em(pad(series, batch_first=True), mask, basis, ridge)
         self.weights_mean.copy_(law.unvec(prior.mean, self.num_basis))
         self.weights_cov.copy_(prior.cov)
         return self
@@ -181,14 +180,14 @@ class ProMP(nn.Module):
         via_velocity_mask: Tensor | None = None,
         prior: law.Gaussian | None = None,
     ) -> law.Gaussian:
-        """Weights conditioned on via-points, jointly; masked ones have no effect.
+        """Condition the weights on all via-points at once; masked via-points have no effect.
 
         Args:
             via_phase: ``(*B, M)`` phases [-].
             via_position: ``(*B, M, D)`` positions.
             via_cov: ``(*B, M, D, D)`` covariance of each position.
             via_mask: ``(*B, M)`` True where a via-point counts; None counts all.
-            via_velocity: ``(*B, M, D)`` velocities at the same phases [unit/s]; None observes no velocity.
+            via_velocity: ``(*B, M, D)`` velocities at the same phases [unit/s]; None conditions on positions only.
             via_velocity_cov: ``(*B, M, D, D)`` covariance of each velocity; needed with ``via_velocity``.
             via_velocity_mask: ``(*B, M)`` True where a velocity counts; None takes ``via_mask``.
             prior: what to condition; None takes the ProMP's own prior.
@@ -197,7 +196,7 @@ class ProMP(nn.Module):
             Mean ``(*B, K * D)`` and covariance ``(*B, K * D, K * D)`` of ``vec(W)``.
 
         Raises:
-            ValueError: if there is no via-point at all (M = 0), a shape does not fit, or a used entry is not finite.
+            ValueError: if M = 0, a shape does not fit, or an entry that counts is not finite.
         """
         self._check_via(via_phase, via_position, via_cov)
         mask = torch.ones_like(via_phase, dtype=torch.bool) if via_mask is None else via_mask
@@ -205,7 +204,7 @@ class ProMP(nn.Module):
         rows, values, covs, masks = [value], [via_position], [via_cov], [mask]
         if via_velocity is not None:
             if via_velocity_cov is None:
-                raise ValueError("via_velocity came without via_velocity_cov; expected its covariance (*B, M, D, D).")
+                raise ValueError("via_velocity came without via_velocity_cov; pass its covariance (*B, M, D, D) too.")
             rows.append(first / self.duration)
             values.append(via_velocity)
             covs.append(via_velocity_cov)
@@ -213,15 +212,11 @@ class ProMP(nn.Module):
         used = torch.cat(masks, -1)
         position = torch.cat(values, -2)
         cov = torch.cat(covs, -3)
-        phases = torch.cat([via_phase] * len(masks), -1)
-        require_finite("via-point phases", torch.where(used, phases, 0.0))
-        require_finite("via-points", torch.where(used.unsqueeze(-1), position, 0.0))
-        require_finite("via-point covariance", torch.where(used[..., None, None], cov, 0.0))
+        self._check_finite(used, torch.cat([via_phase] * len(masks), -1), position, cov)
         observation = law.observation_matrix(torch.cat(rows, -2), self.num_dof)
         row_mask = used.repeat_interleave(self.num_dof, -1)
-        return law.condition(
-            self._prior_like(prior, row_mask), observation, position.flatten(-2), _block_diagonal(cov), row_mask
-        )
+        prior = self._prior_like(prior, row_mask)
+        return law.condition(prior, observation, position.flatten(-2), law.block_diagonal(cov), row_mask)
 
     def _prior_like(self, prior: law.Gaussian | None, row_mask: Tensor) -> law.Gaussian:
         mean, cov = self.prior if prior is None else prior
@@ -232,8 +227,8 @@ class ProMP(nn.Module):
         count = phase.shape[-1] if phase.ndim else 0
         if count == 0:
             raise ValueError(
-                "via-points are empty (M = 0); expected at least one slot. For no via-points in a batch of fixed "
-                "capacity pass a via_mask that is False, which gives the prior."
+                "via-points are empty (M = 0); expected at least one slot. To condition on none, pass a via_mask that "
+                "is False everywhere: the posterior is then the prior."
             )
         dof = self.num_dof
         if position.shape[-2:] != (count, dof) or cov.shape[-3:] != (count, dof, dof):
@@ -242,13 +237,12 @@ class ProMP(nn.Module):
                 f"expected (*B, {count}), (*B, {count}, {dof}) and (*B, {count}, {dof}, {dof})."
             )
 
+    @staticmethod
+    def _check_finite(used: Tensor, phase: Tensor, position: Tensor, cov: Tensor) -> None:
+        require_finite("via-point phases", torch.where(used, phase, 0.0))
+        require_finite("via-points", torch.where(used.unsqueeze(-1), position, 0.0))
+        require_finite("via-point covariance", torch.where(used[..., None, None], cov, 0.0))
+
     def extra_repr(self) -> str:
-        """Shape of the primitive, for ``print``."""
+        """Sizes and duration, for ``print``."""
         return f"num_basis={self.num_basis}, num_dof={self.num_dof}, duration={self.duration} s"
-
-
-def _block_diagonal(blocks: Tensor) -> Tensor:
-    """``(*B, M, D, D) -> (*B, M * D, M * D)``."""
-    count, dof = blocks.shape[-3], blocks.shape[-1]
-    eye = torch.eye(count, dtype=blocks.dtype, device=blocks.device)
-    return torch.einsum("...mij,mn->...minj", blocks, eye).reshape(*blocks.shape[:-3], count * dof, count * dof)

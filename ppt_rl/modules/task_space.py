@@ -1,4 +1,4 @@
-"""The task-space degrees of freedom of a movement primitive, and the poses they stand for."""
+"""Task-space coordinates of a movement primitive, and the end-effector poses that they describe."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ _LINEAR = ("x", "y", "z")
 
 
 class TaskSpace(nn.Module):
-    """Map between D coordinates and end-effector pose and twist; what is not named stays at the origin pose.
+    """Map between D task-space coordinates and pose and twist of the end effector.
 
-    ``x``, ``y``, ``z`` are world coordinates of the end-effector point [m]; ``yaw`` turns the origin's orientation
-    about the world z axis [rad].
+    ``x``, ``y``, ``z`` are world coordinates of the end-effector point [m]; ``yaw`` rotates the orientation of the
+    origin about the world z axis [rad]. A coordinate that is not among ``axes`` keeps its value in the origin pose.
 
     Args:
         axes: names of the coordinates, in the order of the D columns.
-        origin: ``(7,)`` pose that the other coordinates keep [m, -].
+        origin: ``(7,)`` pose that provides all other coordinates [m, -].
 
     Raises:
-        ValueError: if a name is unknown or comes twice.
+        ValueError: if a name is unknown or occurs twice, or the origin is not a pose.
 
     Examples:
         >>> space = TaskSpace(("x", "y", "yaw"), (0.4, 0.0, 0.02, 0.0, 1.0, 0.0, 0.0))
@@ -41,7 +41,7 @@ class TaskSpace(nn.Module):
         super().__init__()
         valid = (*_LINEAR, "yaw")
         if not axes or len(set(axes)) != len(axes) or any(axis not in valid for axis in axes):
-            raise ValueError(f"axes are {tuple(axes)}; expected distinct names out of {valid}.")
+            raise ValueError(f"axes are {tuple(axes)}; expected one or more distinct names from {valid}.")
         if len(origin) != 7:
             raise ValueError(f"origin has {len(origin)} numbers; expected 7: x, y, z, qw, qx, qy, qz.")
         self.axes = tuple(axes)
@@ -53,10 +53,10 @@ class TaskSpace(nn.Module):
         return len(self.axes)
 
     def pose(self, position: Tensor) -> Tensor:
-        """Pose at given coordinates.
+        """End-effector pose at given coordinates.
 
         Args:
-            position: ``(*B, D)`` [m, rad].
+            position: ``(*B, D)`` coordinates [m, rad].
 
         Returns:
             ``(*B, 7)`` pose in world [m, -].
@@ -76,10 +76,10 @@ class TaskSpace(nn.Module):
         return torch.cat([torch.stack(columns, -1), quat], -1)
 
     def twist(self, velocity: Tensor) -> Tensor:
-        """Twist at given coordinate velocities.
+        """End-effector twist at given velocities of the coordinates.
 
         Args:
-            velocity: ``(*B, D)`` [m/s, rad/s].
+            velocity: ``(*B, D)`` velocities [m/s, rad/s].
 
         Returns:
             ``(*B, 6)`` twist, world axes [m/s, rad/s].
@@ -89,14 +89,14 @@ class TaskSpace(nn.Module):
         return torch.stack([velocity[..., self.axes.index(name)] if name in self.axes else zero for name in names], -1)
 
     def difference(self, position: Tensor, other: Tensor) -> Tensor:
-        """``position - other``, the short way round in yaw.
+        """``position - other``, with the difference in yaw wrapped to ``[-pi, pi]``.
 
         Args:
-            position: ``(*B, D)`` [m, rad].
-            other: ``(*B, D)`` [m, rad].
+            position: ``(*B, D)`` coordinates [m, rad].
+            other: ``(*B, D)`` coordinates [m, rad].
 
         Returns:
-            ``(*B, D)``, yaw within ``+-pi`` [m, rad].
+            ``(*B, D)`` difference [m, rad].
         """
         difference = position - other
         if "yaw" in self.axes:
@@ -107,13 +107,13 @@ class TaskSpace(nn.Module):
         return difference
 
     def project(self, pose: Tensor) -> Tensor:
-        """Coordinates of a pose: the inverse of :meth:`pose` on the poses it makes.
+        """Coordinates of a pose. It inverts :meth:`pose` for poses that the coordinates can describe.
 
         Args:
             pose: ``(*B, 7)`` pose in world [m, -].
 
         Returns:
-            ``(*B, D)`` [m, rad].
+            ``(*B, D)`` coordinates [m, rad].
         """
         turn = quat_multiply(pose[..., 3:], quat_conjugate(self.origin[3:].to(pose.dtype)).expand_as(pose[..., 3:]))
         columns = {"x": pose[..., 0], "y": pose[..., 1], "z": pose[..., 2], "yaw": yaw_from_quat(turn)}

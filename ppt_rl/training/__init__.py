@@ -1,20 +1,28 @@
-"""The PPO loop, its checkpoints and its logs; no word of a task."""
+"""The PPO loop, its checkpoints and its logs; it knows no task."""
 
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info, find_checkpoint, load_checkpoint
-from ppt_rl.training.loop import train_ppo
+from ppt_rl.training.config import RunConfig, as_json, from_json, prepare_torch, with_settings
+from ppt_rl.training.loop import TrainingRun, train_ppo
+from ppt_rl.training.networks import make_actor_critic
 from ppt_rl.training.ppo import PPOConfig
-from ppt_rl.training.recipe import as_json, make_actor_critic, run_recipe
-from ppt_rl.training.script import run_cli
+from ppt_rl.training.run import Learners, train_in_run_dir
+from ppt_rl.training.script import run_script
 
 __all__ = [
     "CheckpointMismatch",
+    "Learners",
     "PPOConfig",
+    "RunConfig",
+    "TrainingRun",
     "as_json",
     "checkpoint_info",
     "find_checkpoint",
+    "from_json",
     "load_checkpoint",
     "make_actor_critic",
-    "run_cli",
-    "run_recipe",
+    "prepare_torch",
+    "run_script",
+    "train_in_run_dir",
     "train_ppo",
+    "with_settings",
 ]

@@ -1,4 +1,4 @@
-"""Checkpoints of a run: one archive a step, written atomically, no pickled code, checked before use."""
+"""Checkpoints of a run: one archive each, written atomically, without pickled code, checked before use."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["CheckpointMismatch", "checkpoint_info", "find_checkpoint", "load_che
 
 
 class CheckpointMismatch(RuntimeError):
-    """A checkpoint that is unreadable, or of something else than what asked for it."""
+    """Raised for a checkpoint that is unreadable or does not belong to what tries to load it."""
 
 
 def rotation(run_dir: Path, keep_last: int = 2) -> CheckpointRotation:
@@ -21,7 +21,7 @@ def rotation(run_dir: Path, keep_last: int = 2) -> CheckpointRotation:
 
     Args:
         run_dir: directory of the run.
-        keep_last: how many of the newest are kept.
+        keep_last: number of newest checkpoints to keep.
 
     Returns:
         torchrl's rotation over ``run_dir/checkpoints``.
@@ -29,28 +29,24 @@ def rotation(run_dir: Path, keep_last: int = 2) -> CheckpointRotation:
     return CheckpointRotation(run_dir / "checkpoints", keep_last=keep_last, keep_best=("success", "max"))
 
 
-def save_checkpoint(
-    run_dir: Path, components: Mapping[str, Any], *, step: int, variant: str, config: Mapping[str, Any], success: float
-) -> Path:
+def save_checkpoint(run_dir: Path, components: Mapping[str, Any], *, step: int, metadata: Mapping[str, Any]) -> Path:
     """Write a checkpoint atomically and drop old ones.
 
     Args:
         run_dir: directory of the run.
-        components: what to save: modules, optimizers and JSON values by name.
+        components: what to save: modules, optimisers and JSON values by name.
         step: control steps so far.
-        variant: name of the recipe's variant.
-        config: configuration of the run, JSON-compatible.
-        success: training success, by which the best is kept [0-1].
+        metadata: JSON data beside them: ``variant`` and ``config`` of the run, and ``success`` [0-1], by which the best
+            checkpoint is kept.
 
     Returns:
         Path of the archive.
     """
-    metadata = {"variant": variant, "config": dict(config), "success": success}
-    return rotation(run_dir).save(Checkpoint(format="archive", **components), step=step, metadata=metadata)
+    return rotation(run_dir).save(Checkpoint(format="archive", **components), step=step, metadata=dict(metadata))
 
 
 def find_checkpoint(path: Path) -> Path:
-    """The checkpoint that a path stands for: itself, or the newest of a run directory.
+    """Resolve a path to a checkpoint: the path itself, or the newest checkpoint of a run directory.
 
     Args:
         path: a checkpoint, or a run's directory.
@@ -74,14 +70,14 @@ def find_checkpoint(path: Path) -> Path:
 
 
 def checkpoint_info(path: Path, variant: str | None = None) -> dict[str, Any]:
-    """Variant, configuration and success of a checkpoint, without loading it.
+    """Metadata of a checkpoint, read without loading it.
 
     Args:
         path: the checkpoint.
-        variant: what it must be; None takes any.
+        variant: required variant; None accepts any.
 
     Returns:
-        The metadata: ``variant``, ``config``, ``success``.
+        The metadata: ``variant``, ``config``, ``success``, and ``recipe`` where it is a user's file.
 
     Raises:
         CheckpointMismatch: if it is unreadable, incomplete, or of another variant.
@@ -92,17 +88,17 @@ def checkpoint_info(path: Path, variant: str | None = None) -> dict[str, Any]:
             with zipfile.ZipFile(path) as archive:
                 broken = archive.testzip()
             if broken is not None:
-                raise CheckpointMismatch(f"{path} is damaged in {broken}; take another checkpoint of the run.")
+                raise CheckpointMismatch(f"{path} is damaged in {broken}; use another checkpoint of the run.")
     except (OSError, ValueError, KeyError, CheckpointError, zipfile.BadZipFile) as error:
         raise CheckpointMismatch(
-            f"{path} cannot be read as a checkpoint ({error}); it may be truncated. Take another one of the run."
+            f"{path} cannot be read as a checkpoint ({error}); it may be truncated. Use another checkpoint of the run."
         ) from error
     metadata = manifest.get("metadata", {})
     if "variant" not in metadata or "config" not in metadata:
-        raise CheckpointMismatch(f"{path} is no checkpoint of this library: it names no variant.")
+        raise CheckpointMismatch(f"{path} is not a checkpoint of this library: its metadata names no variant.")
     if variant is not None and metadata["variant"] != variant:
         raise CheckpointMismatch(
-            f"{path} is of variant {metadata['variant']!r}; expected {variant!r}. Use the recipe it was trained with."
+            f"{path} is of variant {metadata['variant']!r}; expected {variant!r}. Use the recipe that trained it."
         )
     return metadata
 

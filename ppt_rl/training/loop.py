@@ -1,12 +1,10 @@
-"""The training loop that every recipe runs: collect, improve, log, keep."""
+"""The training loop that every recipe runs: collect, improve, log, save."""
 
 from __future__ import annotations
 
-import signal
-import sys
-import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,57 +18,89 @@ from tqdm import tqdm
 
 from ppt_rl.modules.actor_critic import update_input_norm
 from ppt_rl.training.checkpoint import load_checkpoint, save_checkpoint
+from ppt_rl.training.interrupt import Interrupt
 from ppt_rl.training.logs import RunLogs
 from ppt_rl.training.ppo import Learner, PPOConfig
 
-__all__ = ["batch_statistics", "control_steps", "train_ppo"]
+__all__ = ["TrainingRun", "batch_statistics", "control_steps", "train_ppo"]
+
+#: A resumed run draws other episodes than those it has seen: its seed moves on by this much a batch.
+_SEED_STRIDE = 1_000_003
 
 
-def train_ppo(
-    env: EnvBase,
-    actor: ProbabilisticActor,
-    critic: nn.Module,
-    config: PPOConfig,
-    *,
-    policy_steps: int,
-    run_dir: Path,
-    variant: str,
-    run_config: Mapping[str, Any],
-    extra: Mapping[str, Any] | None = None,
-    resume_from: Path | None = None,
-    on_batch: Callable[[int, dict[str, float]], None] | None = None,
-) -> Path:
-    """Train until the budget of control steps is spent. Ctrl-C ends it early, with a good checkpoint written first.
+@dataclass(frozen=True)
+class TrainingRun:
+    """What a training loop is told besides its environment and networks.
+
+    Attributes:
+        ppo: settings of PPO, with the budget.
+        policy_steps: policy steps of every environment in a batch: an episode, or a part of one.
+        run_dir: directory of logs and checkpoints.
+        metadata: JSON data saved in every checkpoint: at least ``variant`` and ``config``.
+        extra: further modules to save, by name.
+        resume_from: checkpoint to continue from; None starts afresh.
+    """
+
+    ppo: PPOConfig
+    policy_steps: int
+    run_dir: Path
+    metadata: Mapping[str, Any]
+    extra: Mapping[str, nn.Module] = field(default_factory=dict)
+    resume_from: Path | None = None
+
+
+def train_ppo(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: TrainingRun) -> Path:
+    """Train until the budget of control steps is spent. Ctrl-C ends it early, after a checkpoint was written.
 
     Args:
         env: batch-locked environment with the recipe's chain.
         actor: policy, read by the collector.
         critic: value network.
-        config: settings.
-        policy_steps: policy steps of every environment in a batch: an episode, or a part of one.
-        run_dir: where logs and checkpoints go.
-        variant: name of the recipe's variant, kept in the checkpoint.
-        run_config: configuration of the run, kept in the checkpoint.
-        extra: further modules to checkpoint, such as the movement primitive.
-        resume_from: checkpoint to go on from.
-        on_batch: called with the number of the batch and its log.
+        run: budget, place and what to resume from.
 
     Returns:
         Path of the last checkpoint.
+
+    Raises:
+        KeyboardInterrupt: after the checkpoint, if the run was interrupted.
     """
-    learner = Learner(actor, critic, config)
-    counters: dict[str, Any] = {"control_steps": 0, "batches": 0, "seconds": 0.0}
-    components = {
-        "actor": actor, "critic": critic, "optimizer": learner.optimizer, "schedule": learner.schedule,
-        "rng": GlobalRNGState(), **(extra or {}),
-    }  # fmt: skip
-    if resume_from is not None:
-        counters |= load_checkpoint(resume_from, {**components, "counters": dict(counters)})["counters"]
-        env.set_seed(
-            int(run_config["seed"]) + 1_000_003 * counters["batches"]
-        )  # other episodes than those already seen
-    logs = RunLogs(run_dir, last_step=counters["control_steps"])
-    collector = Collector(
+    learner = Learner(actor, critic, run.ppo)
+    progress = _Progress(run, learner)
+    if run.resume_from is not None:
+        progress.restore(env)
+    logs = RunLogs(run.run_dir, last_step=progress.control_steps)
+    collector = _collector(env, actor, run.policy_steps)
+    budget = run.ppo.total_control_steps
+    bar = tqdm(total=budget, initial=progress.control_steps, unit=" steps", unit_scale=True)
+    batches = iter(collector)
+    interrupt = Interrupt()
+    try:
+        progress.start_clock()
+        while progress.control_steps < budget and not interrupt.requested:
+            batch = next(batches)
+            scalars = batch_statistics(batch) | learner.update(batch)
+            for module in (actor, critic):
+                update_input_norm(module, batch)  # after the update: the batch was collected with the old statistics
+            steps = progress.add(batch, scalars)
+            logs.write(scalars, progress.control_steps)
+            bar.update(steps)
+            bar.set_postfix(progress.shown())
+            if progress.batches % run.ppo.checkpoint_every == 0:
+                progress.save()
+    finally:
+        path = progress.save()
+        bar.close()
+        logs.close()
+        collector.shutdown()
+        interrupt.restore()
+    if interrupt.requested:
+        raise KeyboardInterrupt
+    return path
+
+
+def _collector(env: EnvBase, actor: ProbabilisticActor, policy_steps: int) -> Collector:
+    """Collects batches of so many policy steps of every environment."""
+    return Collector(
         env,
         actor,
         frames_per_batch=env.numel() * policy_steps,
@@ -78,68 +108,56 @@ def train_ppo(
         trust_policy=True,
         auto_register_policy_transforms=False,
     )
-    bar = tqdm(total=config.total_control_steps, initial=counters["control_steps"], unit=" steps", unit_scale=True)
-    shown, path = {"success": 0.0, "max_power": 0.0}, None
-    batches = iter(collector)
-    started = time.perf_counter() - counters["seconds"]
-    interrupt = _Interrupt()
-    try:
-        while counters["control_steps"] < config.total_control_steps and not interrupt.asked:
-            batch = next(batches)
-            scalars = batch_statistics(batch) | learner.update(batch)
-            for module in (actor, critic):
-                update_input_norm(module, batch)  # after the update: the batch was collected with the old statistics
-            shown |= scalars
-            steps = control_steps(batch)
-            counters["control_steps"] += steps
-            counters["batches"] += 1
-            counters["seconds"] = scalars["seconds"] = time.perf_counter() - started
-            logs.write(scalars, counters["control_steps"])
-            bar.update(steps)
-            bar.set_postfix(success=f"{shown['success']:.0%}", max_power=f"{shown['max_power']:.2f} W")
-            if on_batch is not None:
-                on_batch(counters["batches"], scalars)
-            if counters["batches"] % config.checkpoint_every == 0:
-                path = _save(run_dir, components, counters, variant, run_config, shown["success"])
-    finally:
-        path = _save(run_dir, components, counters, variant, run_config, shown["success"])
-        bar.close()
-        logs.close()
-        collector.shutdown()
-        interrupt.restore()
-    if interrupt.asked:
-        raise KeyboardInterrupt
-    return path
 
 
-class _Interrupt:
-    """Turns the first Ctrl-C into a request that a loop can ask for; the second one interrupts at once."""
+class _Progress:
+    """How far a run has come, and its checkpoints."""
 
-    def __init__(self) -> None:
-        self.asked = False
-        main = threading.current_thread() is threading.main_thread()
-        self._old = signal.signal(signal.SIGINT, self._ask) if main else None
+    def __init__(self, run: TrainingRun, learner: Learner) -> None:
+        self._run = run
+        self.control_steps, self.batches, self.seconds = 0, 0, 0.0
+        self._latest = {"success": 0.0, "max_power": 0.0}
+        self._components = {
+            "actor": learner.actor, "critic": learner.critic, "optimizer": learner.optimizer,
+            "schedule": learner.schedule, "rng": GlobalRNGState(), **run.extra,
+        }  # fmt: skip
+        self.start_clock()
 
-    def _ask(self, number: int, frame: object) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
-        message = "\nInterrupted: the batch is finished and a checkpoint written, then go on by --resume.\n"
-        sys.stderr.write(message)
+    def start_clock(self) -> None:
+        self._started = time.perf_counter() - self.seconds
 
-    def restore(self) -> None:
-        """Give Ctrl-C back."""
-        if self._old is not None:
-            signal.signal(signal.SIGINT, self._old)
+    def restore(self, env: EnvBase) -> None:
+        """Load the checkpoint to resume from and let the environment draw other episodes than those already seen."""
+        assert self._run.resume_from is not None
+        counters = load_checkpoint(self._run.resume_from, {**self._components, "counters": self._counters()})
+        for name, value in counters["counters"].items():
+            setattr(self, name, value)
+        env.set_seed(int(self._run.metadata["config"]["seed"]) + _SEED_STRIDE * self.batches)
 
+    def add(self, batch: TensorDictBase, scalars: dict[str, float]) -> int:
+        """Count a batch; its time goes into the scalars. Returns its control steps."""
+        steps = control_steps(batch)
+        self._latest |= {name: scalars[name] for name in self._latest if name in scalars}
+        self.control_steps += steps
+        self.batches += 1
+        self.seconds = scalars["seconds"] = time.perf_counter() - self._started
+        return steps
 
-def _save(
-    run_dir: Path, components: Mapping[str, Any], counters: Mapping[str, Any], variant: str, config: Mapping[str, Any],
-    success: float,
-) -> Path:  # fmt: skip
-    parts = {**components, "counters": dict(counters)}
-    step = int(counters["control_steps"])
-    return save_checkpoint(run_dir, parts, step=step, variant=variant, config=config, success=success)
+    def shown(self) -> dict[str, str]:
+        """What stands beside the progress bar."""
+        return {"success": f"{self._latest['success']:.0%}", "max_power": f"{self._latest['max_power']:.2f} W"}
+
+    def save(self) -> Path:
+        """Write a checkpoint."""
+        return save_checkpoint(
+            self._run.run_dir,
+            {**self._components, "counters": self._counters()},
+            step=self.control_steps,
+            metadata={**self._run.metadata, "success": self._latest["success"]},
+        )
+
+    def _counters(self) -> dict[str, Any]:
+        return {"control_steps": self.control_steps, "batches": self.batches, "seconds": self.seconds}
 
 
 def control_steps(batch: TensorDictBase) -> int:

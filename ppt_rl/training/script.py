@@ -4,34 +4,45 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import tyro
 
 from ppt_rl.training.checkpoint import CheckpointMismatch
 
-__all__ = ["run_cli"]
-
-_Config = TypeVar("_Config")
+__all__ = ["advice_instead_of_traceback", "run_script"]
 
 
-def run_cli(main: Callable[[_Config], Any], config_class: type[_Config]) -> None:
-    """Parse the options of a dataclass and run.
-
-    A wrong value or an unfit checkpoint ends the program with its message and status 2, Ctrl-C with
-    130.
+@contextmanager
+def advice_instead_of_traceback(prog: str) -> Iterator[None]:
+    """End the program with one message and status 2 after a wrong value or an unfit checkpoint, with 130 after Ctrl-C.
 
     Args:
-        main: called with the parsed configuration.
-        config_class: dataclass with documented fields.
+        prog: name of the program, for the message.
     """
     warnings.filterwarnings("ignore", category=FutureWarning, module="torchrl")
     try:
-        main(tyro.cli(config_class))
+        yield
     except KeyboardInterrupt:
         raise SystemExit(130) from None
     except (CheckpointMismatch, ValueError, KeyError) as error:
         message = error.args[0] if error.args else error
-        print(f"{sys.argv[0]}: error: {message}", file=sys.stderr)
+        print(f"{prog}: error: {message}", file=sys.stderr)
         raise SystemExit(2) from error
+
+
+def run_script(
+    main: Callable[[Any], Any], options: type, args: Sequence[str] | None = None, prog: str | None = None
+) -> None:
+    """Parse options and run a program, with :func:`advice_instead_of_traceback`.
+
+    Args:
+        main: called with the parsed options.
+        options: dataclass with documented fields.
+        args: command line; None takes that of the process.
+        prog: name of the program in its help; None takes that of the process.
+    """
+    with advice_instead_of_traceback(prog or sys.argv[0]):
+        main(tyro.cli(options, args=args, prog=prog))

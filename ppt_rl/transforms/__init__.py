@@ -1,4 +1,8 @@
-"""The stages of the method as TorchRL transforms."""
+"""The stages of the method as TorchRL transforms.
+
+Those that work with time take the control step from the attribute ``control_dt`` [s] of the environment. Every
+environment of this library has it; where another has not, pass ``dt=``.
+"""
 
 from ppt_rl.transforms.cartesian_velocity import CartesianVelocityTransform
 from ppt_rl.transforms.contact_via_point import ContactViaPointTransform
@@ -10,7 +14,7 @@ from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from ppt_rl.transforms.macro_step import MacroStepTransform
 from ppt_rl.transforms.power_limit import PowerLimitTransform
 from ppt_rl.transforms.promp import ProMPTransform
-from ppt_rl.transforms.receding_promp import RecedingProMPTransform
+from ppt_rl.transforms.receding_promp import RecedingKeys, RecedingProMPTransform
 from ppt_rl.transforms.via_point import ViaPointTransform
 
 __all__ = [
@@ -24,6 +28,7 @@ __all__ = [
     "MacroStepTransform",
     "PowerLimitTransform",
     "ProMPTransform",
+    "RecedingKeys",
     "RecedingProMPTransform",
     "ViaPointTransform",
 ]

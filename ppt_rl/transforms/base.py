@@ -1,8 +1,7 @@
-"""What the transforms of this library share."""
+"""What the transforms of this library share: state, actions, observers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -12,15 +11,20 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs import Transform
 
-__all__ = ["ActionTransform", "StatefulTransform", "replace_leaf"]
+from ppt_rl.transforms.specs import set_leaf
+
+__all__ = ["ActionTransform", "Entries", "ObserverTransform", "StatefulTransform"]
+
+#: Entries of a tensordict by key.
+Entries = dict[NestedKey, Any]
 
 
 class StatefulTransform(Transform):
-    """A transform whose state lives in the tensordict: read from the root, written under ``"next"``.
+    """A transform whose state lives in the tensordict: it is read from the root and written under ``"next"``.
 
-    The state's keys are declared in ``full_state_spec`` and in the observation spec. A partial reset touches only its
-    rows. State computed on the way in (``_inv_call``) waits for ``_step`` under a private root key, which never leaves
-    the environment.
+    The keys of the state are declared in ``full_state_spec`` and in the observation spec. A partial reset changes only
+    the environments that reset, and an environment outside the ``_step`` mask keeps its state. State that is computed
+    on the way in (``_inv_call``) waits for ``_step`` under a private root key, which never leaves the environment.
 
     Args:
         in_keys: as for :class:`torchrl.envs.Transform`.
@@ -29,8 +33,11 @@ class StatefulTransform(Transform):
         out_keys_inv: likewise.
     """
 
+    #: What the error about a missing entry adds, such as who writes that entry.
+    _hint = ""
+
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        """Specs of the state's keys for an environment of a batch size; ``like`` has its dtype and device."""
+        """Specs of the state for an environment of this batch size; ``like`` has its dtype and device."""
         return {}
 
     def _like(self) -> TensorSpec:
@@ -42,55 +49,41 @@ class StatefulTransform(Transform):
         state = input_spec["full_state_spec"]
         if state is None:
             state = Composite(shape=input_spec.shape, device=input_spec.device)
-        nests = [self.parent.full_observation_spec, self.parent.full_action_spec]
+        examples = [self.parent.full_observation_spec, self.parent.full_action_spec]
         for key, spec in self._state_specs(self.parent.batch_size, self._like()).items():
-            _set_spec(state, key, spec, nests)
+            set_leaf(state, key, spec, examples)
         input_spec["full_state_spec"] = state
         return super().transform_input_spec(input_spec)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Declare the state as observations."""
-        nests = [self.parent.full_action_spec]
         for key, spec in self._state_specs(self.parent.batch_size, self._like()).items():
-            _set_spec(observation_spec, key, spec, nests)
+            set_leaf(observation_spec, key, spec, [self.parent.full_action_spec])
         return observation_spec
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the tensordict as it is: offline there is nothing to add to stored observations."""
+        """Return the tensordict as it is: there is nothing to add to stored observations."""
         return tensordict
 
-    # -- the way of a value from _inv_call to _step -------------------------------------------------------------------
+    def _require(self, tensordict: TensorDictBase, *keys: NestedKey) -> list[Tensor]:
+        """Entries of the tensordict, or an error that names those that are missing and those that there are."""
+        values: list[Any] = [tensordict.get(key, None) for key in keys]
+        if any(value is None for value in values):
+            missing = [key for key, value in zip(keys, values, strict=True) if value is None]
+            present = sorted(str(key) for key in tensordict.keys(True, True))
+            raise KeyError(f"{type(self).__name__} needs {missing}; the tensordict holds {present}.{self._hint}")
+        return values
 
-    def _stash(self, tensordict: TensorDictBase, key: NestedKey, value: Tensor) -> None:
-        if self.parent is not None:
-            tensordict.set(_private(key), value)
+    # -- masks --------------------------------------------------------------------------------------------------------
 
-    def _unstash(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, key: NestedKey) -> None:
-        """Write a stashed value under next, keeping the old value in rows that do not step."""
-        value = tensordict.get(_private(key))
+    @staticmethod
+    def _stepping(tensordict: TensorDictBase) -> Tensor | None:
+        """Which environments step, ``(*B,)``; None stands for all of them."""
         step = tensordict.get("_step", None)
-        old = None if step is None else tensordict.get(key, None)
-        if old is not None:
-            value = torch.where(expand_as_right(step.reshape(tensordict.batch_size), value), value, old)
-        next_tensordict.set(key, value)
-
-    def _zeros(self, specs: dict[NestedKey, TensorSpec], like: TensorDictBase) -> dict[NestedKey, Tensor]:
-        """Zeros of specs, with the leading dimensions that a tensordict of an environment without a lock has."""
-        leading = like.shape[: like.ndim - len(self.parent.batch_size)]
-        return {key: spec.zero(leading) for key, spec in specs.items()}
-
-    def _restart(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase, key: NestedKey, initial: Tensor
-    ) -> None:
-        """Write the initial value into the rows that reset, keep the others."""
-        old = tensordict.get(key, None)
-        reset = self._reset_mask(tensordict, key)
-        if old is not None and reset is not None:
-            initial = torch.where(expand_as_right(reset, initial), initial, old)
-        tensordict_reset.set(key, initial)
+        return None if step is None else step.reshape(tensordict.batch_size)
 
     def _reset_mask(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor | None:
-        """The reset signal that governs ``key``: the one in its own nest, else the root's; None means all rows."""
+        """The reset signal for ``key``: that of its own nest, else the root's; None stands for all environments."""
         key = unravel_key(key)
         prefix = key[:-1] if isinstance(key, tuple) else ()
         while True:
@@ -101,11 +94,34 @@ class StatefulTransform(Transform):
                 return None
             prefix = prefix[:-1]
 
+    # -- state --------------------------------------------------------------------------------------------------------
+
+    def _stash(self, tensordict: TensorDictBase, key: NestedKey, value: Tensor) -> None:
+        """Keep a value of ``_inv_call`` for ``_step``."""
+        if self.parent is not None:
+            tensordict.set(_private(key), value)
+
+    def _unstash(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, key: NestedKey) -> None:
+        """Write a kept value under next; environments that do not step keep the old one."""
+        value = tensordict.get(_private(key))
+        next_tensordict.set(key, _merged(self._stepping(tensordict), value, tensordict, key))
+
+    def _zeros(self, specs: dict[NestedKey, TensorSpec], like: TensorDictBase) -> Entries:
+        """Zeros of specs, with the leading dimensions that a tensordict of an environment without a lock has."""
+        leading = like.shape[: like.ndim - len(self.parent.batch_size)]
+        return {key: spec.zero(leading) for key, spec in specs.items()}
+
+    def _restart(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase, key: NestedKey, initial: Tensor
+    ) -> None:
+        """Write the initial value where an environment resets; the others keep theirs."""
+        tensordict_reset.set(key, _merged(self._reset_mask(tensordict, key), initial, tensordict, key))
+
 
 class ActionTransform(StatefulTransform):
-    """A transform of the action on its way to the environment (``inv``); what comes back passes through.
+    """A transform of the action on its way to the environment (``inv``); observations pass through.
 
-    ``inv`` needs no environment. In a replay buffer ``extend`` applies it, so the buffer holds what was executed.
+    ``inv`` needs no environment. A replay buffer applies it in ``extend``, so it stores the action that was executed.
 
     Args:
         action_key: the action, read and written in place.
@@ -125,51 +141,97 @@ class ActionTransform(StatefulTransform):
     def _like(self) -> TensorSpec:
         return self.parent.full_action_spec[self.action_key]
 
-    def _require(self, tensordict: TensorDictBase, *keys: NestedKey) -> list[Tensor]:
-        """Entries of the tensordict, or an error that names what is missing and what there is."""
-        values: list[Any] = []
-        for key in keys:
-            value = tensordict.get(key, None)
-            if value is None:
-                present = sorted(str(k) for k in tensordict.keys(True, True))
-                raise KeyError(f"{type(self).__name__} needs {key!r} in the tensordict; it holds {present}.")
-            values.append(value)
-        return values
 
+class ObserverTransform(StatefulTransform):
+    r"""A transform that adds observations and leaves the action alone.
 
-def replace_leaf(spec: Composite, key: NestedKey, leaf: TensorSpec, owner: str) -> Composite:
-    """Swap a leaf of a composite spec that must be there.
+    Its law is three functions of the readings ``r``, the entries ``in_keys``: the state at the start of an episode, the
+    state after one more step, and further observations made from both.
+
+    .. math::
+        s_0 = \mathrm{begin}(r_0), \qquad s_{t+1} = \mathrm{update}(s_t, r_{t+1}), \qquad
+        o_t = \mathrm{outputs}(s_t, r_t)
+
+    A subclass defines those of ``_begin``, ``_update`` and ``_outputs`` that its law has, and the specs of state and
+    outputs. This class handles masks, missing entries and resets. An observer without state works on stored data too.
 
     Args:
-        spec: the composite, changed in place.
-        key: of the leaf.
-        leaf: what to put there.
-        owner: who asks, for the message.
-
-    Returns:
-        The composite.
-
-    Raises:
-        KeyError: if there is no such leaf.
+        in_keys: the readings; the first one gives dtype and device of all that is written.
+        out_keys: the further observations.
     """
-    if key not in spec.keys(True, True):
-        raise KeyError(f"{owner} acts on {key!r}; the environment's action keys are {list(spec.keys(True, True))}.")
-    spec[key] = leaf
-    return spec
+
+    #: Keys of the state, those of ``_state_specs``.
+    state_keys: tuple[str, ...] = ()
+
+    def __init__(self, in_keys: list[NestedKey], out_keys: list[NestedKey]) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
+
+    # -- the law ------------------------------------------------------------------------------------------------------
+
+    def _begin(self, *readings: Tensor) -> Entries:
+        """State at the start of an episode."""
+        return {}
+
+    def _update(self, state: Entries, *readings: Tensor) -> Entries:
+        """State after one more step."""
+        return {}
+
+    def _outputs(self, tensordict: TensorDictBase, state: Entries, *readings: Tensor) -> Entries:
+        """Further observations; ``tensordict`` is what they are written to."""
+        return {}
+
+    def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
+        """Specs of the further observations."""
+        return {}
+
+    # -- its execution ------------------------------------------------------------------------------------------------
+
+    def _read(self, tensordict: TensorDictBase) -> list[Tensor]:
+        return self._require(tensordict, *self.in_keys)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        readings, state = self._read(next_tensordict), {}
+        if self.state_keys:
+            old = {key: tensordict.get(key, None) for key in self.state_keys}
+            if any(value is None for value in old.values()):
+                old = self._begin(*self._read(tensordict))
+            stepping = self._stepping(tensordict)
+            state = {key: _merged(stepping, value, old, key) for key, value in self._update(old, *readings).items()}
+        return self._write(next_tensordict, state, readings)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        readings = self._read(tensordict_reset)
+        for key, value in self._begin(*readings).items():
+            self._restart(tensordict, tensordict_reset, key, value)
+        state = {key: tensordict_reset.get(key) for key in self.state_keys}
+        return self._write(tensordict_reset, state, readings)
+
+    def _write(self, tensordict: TensorDictBase, state: Entries, readings: list[Tensor]) -> TensorDictBase:
+        for entries in (state, self._outputs(tensordict, state, *readings)):
+            for key, value in entries.items():
+                tensordict.set(key, value)
+        return tensordict
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Add the observations to stored data where they need no state; else return the tensordict as it is."""
+        return tensordict if self.state_keys else self._write(tensordict, {}, self._read(tensordict))
+
+    def _like(self) -> TensorSpec:
+        return self.parent.full_observation_spec[self.in_keys[0]]
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Declare state and further observations."""
+        observation_spec = super().transform_observation_spec(observation_spec)
+        for key, spec in self._output_specs(self.parent.batch_size, self._like()).items():
+            set_leaf(observation_spec, key, spec)
+        return observation_spec
 
 
 def _private(key: NestedKey) -> str:
     return "_" + "/".join(key) if isinstance(key, tuple) else f"_{key}"
 
 
-def _set_spec(spec: Composite, key: NestedKey, leaf: TensorSpec, nests: Sequence[Composite]) -> None:
-    """Set a leaf; a nest that is not there yet takes the shape that it has in one of ``nests``."""
-    key = unravel_key(key)
-    if isinstance(key, tuple):
-        nest = key[0]
-        nests = [other[nest] for other in nests if nest in other.keys()]
-        if nest not in spec.keys():
-            spec[nest] = Composite(shape=nests[0].shape if nests else spec.shape, device=spec.device)
-        _set_spec(spec[nest], key[1:] if len(key) > 2 else key[1], leaf, nests)
-    else:
-        spec[key] = leaf
+def _merged(rows: Tensor | None, new: Tensor, old: TensorDictBase | Entries, key: NestedKey) -> Tensor:
+    """``new`` in the environments of the mask ``rows`` ``(*B,)``, what ``old`` has under ``key`` in the others."""
+    value = None if rows is None else old.get(key, None)
+    return new if rows is None or value is None else torch.where(expand_as_right(rows, new), new, value)

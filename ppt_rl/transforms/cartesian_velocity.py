@@ -10,15 +10,17 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 
-from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
+from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.heading import from_heading
 from ppt_rl.modules.task_space import TaskSpace
-from ppt_rl.transforms.base import ActionTransform, replace_leaf
+from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.specs import replace_leaf
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["CartesianVelocityTransform"]
 
 
-class CartesianVelocityTransform(ActionTransform):
+class CartesianVelocityTransform(TimedTransform, ActionTransform):
     r"""Integrates a velocity ``a`` ``(*B, D)`` in [-1, 1] to a reference ``(*B, 13)`` of pose and twist.
 
     .. math::
@@ -36,7 +38,7 @@ class CartesianVelocityTransform(ActionTransform):
         task_space: what the D coordinates mean.
         max_velocity: one number, or D of them: the velocity of an action of 1 [m/s, rad/s].
         max_lead: one number, or D of them: largest distance of the reference from the end effector [m, rad].
-        dt: control step [s].
+        dt: control step [s]; None takes it from the environment, and needs one.
         action_key: the action: velocity outside, reference towards the environment.
         pose_key: end-effector pose observation.
         heading_key: heading observation: then the action is a velocity ahead, to the left and up, for a task space of
@@ -60,7 +62,7 @@ class CartesianVelocityTransform(ActionTransform):
         *,
         max_velocity: float | Sequence[float] = 0.4,
         max_lead: float | Sequence[float] = 0.05,
-        dt: float = 0.01,
+        dt: float | None = None,
         action_key: NestedKey = "action",
         pose_key: NestedKey = "pose",
         heading_key: NestedKey | None = None,
@@ -70,7 +72,7 @@ class CartesianVelocityTransform(ActionTransform):
             raise ValueError(f"task_space has the coordinates {task_space.axes}; expected ('x', 'y', 'z').")
         self.heading_key = heading_key
         self.task_space = task_space
-        self.dt = require_positive("dt", dt, "s")
+        self.dt = dt
         self.pose_key = pose_key
         self.register_buffer("max_velocity", _bound("max_velocity", max_velocity, task_space.num_dof))
         self.register_buffer("max_lead", _bound("max_lead", max_lead, task_space.num_dof))

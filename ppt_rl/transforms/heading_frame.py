@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.utils import NestedKey, expand_as_right
+from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.data import TensorSpec, Unbounded
 
 from ppt_rl.functional.checks import require_positive
-from ppt_rl.functional.contact import wall_contact
+from ppt_rl.functional.contact import WallTouch, wall_contact
 from ppt_rl.functional.heading import follow_heading, to_heading
-from ppt_rl.transforms.base import StatefulTransform
+from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["HeadingFrameTransform"]
 
 
-class HeadingFrameTransform(StatefulTransform):
+class HeadingFrameTransform(TimedTransform, ObserverTransform):
     r"""Keeps the heading of a sliding tool and writes its twist and wrench in heading axes.
 
     .. math:: \nu_h = R_z(-\psi)\,\nu, \qquad \lambda_h = R_z(-\psi)\,\bar\lambda
@@ -29,16 +30,14 @@ class HeadingFrameTransform(StatefulTransform):
     Observations: ``heading_twist`` [m/s, rad/s] and ``heading_wrench`` [N, N m], ``(*B, 6)``, axes ahead, left, up.
 
     Args:
-        distance: over which the heading forgets [m].
-        patience: in which a tool that is held up turns along the wall [s].
-        slow: speed of a tool that is held up [m/s].
-        friction: estimate of walls and floor on the tool [-].
-        min_force: a wall presses with more than this [N].
-        smoothing: time constant of the wrench's low-pass [s].
-        dt: control step [s].
+        distance: distance of travel over which the heading adapts [m].
+        patience: time in which a tool that is held up turns along the wall [s].
+        smoothing: time constant of the low-pass on the wrench [s].
+        touch: how a wall is felt: one that is pressed by more than ``touch.on``; None takes the defaults.
+        dt: control step [s]; None takes it from the environment, and needs one.
         twist_key: measured twist.
         wrench_key: measured wrench on the world.
-        start_key: heading at the start, as the robot is told.
+        start_key: heading at the start of an episode, given to the robot.
 
     Raises:
         KeyError: if an observation is missing.
@@ -48,16 +47,16 @@ class HeadingFrameTransform(StatefulTransform):
         Ours; the paper gives observations in world axes.
     """
 
+    state_keys = ("heading", "smooth_wrench")
+
     def __init__(
         self,
         *,
         distance: float = 0.02,
         patience: float = 0.3,
-        slow: float = 0.01,
-        friction: float = 0.25,
-        min_force: float = 1.0,
         smoothing: float = 0.05,
-        dt: float = 0.01,
+        touch: WallTouch | None = None,
+        dt: float | None = None,
         twist_key: NestedKey = "twist",
         wrench_key: NestedKey = "wrench",
         start_key: NestedKey = "start_heading",
@@ -65,68 +64,39 @@ class HeadingFrameTransform(StatefulTransform):
         super().__init__(in_keys=[twist_key, wrench_key, start_key], out_keys=["heading_twist", "heading_wrench"])
         self.distance = require_positive("distance", distance, "m")
         self.patience = require_positive("patience", patience, "s")
-        self.slow = require_positive("slow", slow, "m/s")
-        self.friction = require_positive("friction", friction)
-        self.min_force = require_positive("min_force", min_force, "N")
         self.smoothing = require_positive("smoothing", smoothing, "s")
-        self.dt = require_positive("dt", dt, "s")
+        self.touch = WallTouch() if touch is None else touch
+        self.dt = dt
 
-    def _read(self, tensordict: TensorDictBase) -> list[Tensor]:
-        values = [tensordict.get(key, None) for key in self.in_keys]
-        missing = [key for key, value in zip(self.in_keys, values, strict=True) if value is None]
-        if missing:
-            raise KeyError(f"HeadingFrameTransform needs {missing}; the tensordict holds {sorted(tensordict.keys())}.")
-        return values
+    def _begin(self, *readings: Tensor) -> Entries:
+        _, wrench, start = readings
+        return {"heading": start, "smooth_wrench": wrench}
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        twist, wrench, start = self._read(next_tensordict)
-        old = tensordict.get("heading", None), tensordict.get("smooth_wrench", None)
-        heading, smooth = (start, wrench) if old[0] is None or old[1] is None else self._next(old, twist, wrench)
-        step = tensordict.get("_step", None)
-        if step is not None and old[0] is not None and old[1] is not None:
-            rows = step.reshape(tensordict.batch_size)
-            heading = torch.where(expand_as_right(rows, heading), heading, old[0])
-            smooth = torch.where(expand_as_right(rows, smooth), smooth, old[1])
-        return self._write(next_tensordict, twist, heading, smooth)
-
-    def _next(self, old: tuple[Tensor, Tensor], twist: Tensor, wrench: Tensor) -> tuple[Tensor, Tensor]:
-        heading, smooth = old
-        smooth = smooth + (wrench - smooth) * (self.dt / (self.smoothing + self.dt))
+    def _update(self, state: Entries, *readings: Tensor) -> Entries:
+        twist, wrench, _ = readings
+        heading, smooth, touch, dt = state["heading"], state["smooth_wrench"], self.touch, self.dt
+        smooth = smooth + (wrench - smooth) * (dt / (self.smoothing + dt))
         velocity = twist[..., :2]
-        wall = wall_contact(smooth[..., :3], velocity, heading, friction=self.friction, slow=self.slow)
-        touching = torch.linalg.vector_norm(wall.force, dim=-1, keepdim=True) > self.min_force
+        wall = wall_contact(smooth[..., :3], velocity, heading, friction=touch.friction, slow=touch.slow)
+        touching = torch.linalg.vector_norm(wall.force, dim=-1, keepdim=True) > touch.on
         heading = follow_heading(
             heading, velocity, wall.tangent, touching,
-            dt=self.dt, distance=self.distance, patience=self.patience, slow=self.slow,
+            dt=dt, distance=self.distance, patience=self.patience, slow=touch.slow,
         )  # fmt: skip
-        return heading, smooth
+        return {"heading": heading, "smooth_wrench": smooth}
 
-    @staticmethod
-    def _write(tensordict: TensorDictBase, twist: Tensor, heading: Tensor, smooth: Tensor) -> TensorDictBase:
-        tensordict.set("heading", heading)
-        tensordict.set("smooth_wrench", smooth)
-        tensordict.set("heading_twist", to_heading(twist, heading))
-        return tensordict.set("heading_wrench", to_heading(smooth, heading))
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        twist, wrench, start = self._read(tensordict_reset)
-        self._restart(tensordict, tensordict_reset, "heading", start)
-        self._restart(tensordict, tensordict_reset, "smooth_wrench", wrench)
-        return self._write(tensordict_reset, twist, tensordict_reset["heading"], tensordict_reset["smooth_wrench"])
-
-    def _like(self) -> TensorSpec:
-        return self.parent.full_observation_spec[self.in_keys[0]]
+    def _outputs(self, tensordict: TensorDictBase, state: Entries, *readings: Tensor) -> Entries:
+        heading = state["heading"]
+        return {
+            "heading_twist": to_heading(readings[0], heading),
+            "heading_wrench": to_heading(state["smooth_wrench"], heading),
+        }
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        def real(size: int) -> Unbounded:
-            return Unbounded(shape=(*batch, size), dtype=like.dtype, device=like.device)
+        sizes = {"heading": 1, "smooth_wrench": 6}
+        return {
+            key: Unbounded(shape=(*batch, size), dtype=like.dtype, device=like.device) for key, size in sizes.items()
+        }
 
-        return {"heading": real(1), "smooth_wrench": real(6)}
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Declare heading, and twist and wrench along it."""
-        observation_spec = super().transform_observation_spec(observation_spec)
-        like, batch = self._like(), self.parent.batch_size
-        for key in self.out_keys:
-            observation_spec[key] = Unbounded(shape=(*batch, 6), dtype=like.dtype, device=like.device)
-        return observation_spec
+    def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
+        return {key: Unbounded(shape=(*batch, 6), dtype=like.dtype, device=like.device) for key in self.out_keys}

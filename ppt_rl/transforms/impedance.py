@@ -8,7 +8,8 @@ from torchrl.data import Composite, Unbounded
 
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.modules.impedance import CartesianImpedanceController
-from ppt_rl.transforms.base import ActionTransform, replace_leaf
+from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.specs import replace_leaf
 
 __all__ = ["ImpedanceTransform"]
 

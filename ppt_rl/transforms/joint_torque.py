@@ -13,12 +13,14 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
 from ppt_rl.modules.kinematics import Kinematics
-from ppt_rl.transforms.base import ActionTransform, replace_leaf
+from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.specs import replace_leaf
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["JointTorqueTransform"]
 
 
-class JointTorqueTransform(ActionTransform):
+class JointTorqueTransform(TimedTransform, ActionTransform):
     r"""Turns a wrench ``(*B, 6)`` into joint torque ``(*B, n)``, clipped to the limits of the arm's n joints.
 
     .. math:: \tau = J^\top \lambda + N\,\big(k_q (q_0 - q) - d_q \dot q\big)
@@ -34,7 +36,7 @@ class JointTorqueTransform(ActionTransform):
         posture_stiffness: ``k_q`` [N m/rad]; zero leaves the posture alone, and with it the projection.
         posture_damping: ``d_q`` [N m s/rad].
         max_torque_rate: largest change of a joint torque [N m/s]; None sets no limit. Franka's own is 1000.
-        dt: control step, for the rate [s].
+        dt: control step, for the rate [s]; None takes it from the environment.
         action_key: the action: wrench from outside, torque towards the environment.
 
     Raises:
@@ -53,7 +55,7 @@ class JointTorqueTransform(ActionTransform):
         posture_stiffness: float = 10.0,
         posture_damping: float = 2.0,
         max_torque_rate: float | None = None,
-        dt: float = 0.01,
+        dt: float | None = None,
         action_key: NestedKey = "action",
     ) -> None:
         super().__init__(action_key)
@@ -70,7 +72,8 @@ class JointTorqueTransform(ActionTransform):
         self.posture_stiffness = float(posture_stiffness)
         self.posture_damping = float(posture_damping)
         rate = None if max_torque_rate is None else require_positive("max_torque_rate", max_torque_rate, "N m/s")
-        self.max_torque_change = None if rate is None else rate * require_positive("dt", dt, "s")
+        self.max_torque_rate, self._needs_dt = rate, rate is not None
+        self.dt = dt
         self.register_buffer("posture", torch.tensor(posture), persistent=False)
         self.register_buffer("joint_inertia", torch.tensor(arm.joints.inertia), persistent=False)
         self.register_buffer("torque_limit", torch.tensor(arm.joints.torque_limits), persistent=False)
@@ -91,10 +94,11 @@ class JointTorqueTransform(ActionTransform):
 
     def _limited(self, torque: Tensor, tensordict: TensorDictBase) -> Tensor:
         torque = torque.clamp(-self.torque_limit, self.torque_limit)
-        if self.max_torque_change is not None:
+        if self.max_torque_rate is not None:
             last = tensordict.get("torque", None)
             if last is not None:
-                torque = last + (torque - last).clamp(-self.max_torque_change, self.max_torque_change)
+                change = self.max_torque_rate * self.dt  # [N m]
+                torque = last + (torque - last).clamp(-change, change)
             self._stash(tensordict, "torque", torque)
         return torque
 
@@ -110,7 +114,7 @@ class JointTorqueTransform(ActionTransform):
         return tensordict_reset
 
     def _state_keys(self) -> list[str]:
-        return ["power"] if self.max_torque_change is None else ["power", "torque"]
+        return ["power"] if self.max_torque_rate is None else ["power", "torque"]
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
         sizes = {"power": 1, "torque": self.kinematics.arm.num_joints}

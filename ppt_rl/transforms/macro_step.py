@@ -11,7 +11,8 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from ppt_rl.functional.checks import require_finite
-from ppt_rl.transforms.base import ActionTransform, replace_leaf
+from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.specs import replace_leaf
 
 __all__ = ["MacroStepTransform"]
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
-from torchrl.data import Composite, Unbounded
-from torchrl.envs import Transform
+from torch import Tensor
+from torchrl.data import TensorSpec, Unbounded
 
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.impedance import power
+from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["PowerLimitTransform"]
 
 
-class PowerLimitTransform(Transform):
+class PowerLimitTransform(TimedTransform, ObserverTransform):
     r"""Watches the power of the MEASURED wrench, ``P = wrench . twist``, and what it exceeds its limit by.
 
     .. math:: c = \Delta t\,\max(0, |P| - P_{max}), \qquad r' = r - \mathrm{penalty} \cdot c
@@ -31,7 +33,7 @@ class PowerLimitTransform(Transform):
         p_max: limit of the measured power [W].
         penalty: reward taken off per joule above the limit [1/J]; zero leaves the reward alone.
         terminate: whether a step above the limit ends the episode.
-        dt: control step [s].
+        dt: control step [s]; None takes it from the environment, and needs one.
         wrench_key: measured wrench on the world.
         twist_key: measured twist.
         reward_key: the reward that the penalty is taken off.
@@ -55,7 +57,7 @@ class PowerLimitTransform(Transform):
         *,
         penalty: float = 0.0,
         terminate: bool = False,
-        dt: float = 0.01,
+        dt: float | None = None,
         wrench_key: NestedKey = "wrench",
         twist_key: NestedKey = "twist",
         reward_key: NestedKey = "reward",
@@ -63,19 +65,27 @@ class PowerLimitTransform(Transform):
     ) -> None:
         super().__init__(in_keys=[wrench_key, twist_key], out_keys=[cost_key])
         self.p_max = require_positive("p_max", p_max, "W")
-        self.dt = require_positive("dt", dt, "s")
+        self.dt = dt
         self.penalty = float(penalty)
         if not 0.0 <= self.penalty < float("inf"):
             raise ValueError(f"penalty is {penalty}; expected a finite number of at least 0 [1/J].")
         self.terminate = terminate
         self.reward_key = reward_key
 
+    def _outputs(self, tensordict: TensorDictBase, state: Entries, *readings: Tensor) -> Entries:
+        excess = (power(*readings).abs() - self.p_max).clamp_min(0.0)  # [W]
+        return {self.out_keys[0]: self.dt * excess}
+
+    def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
+        shape = (*like.shape[:-1], 1)
+        return {self.out_keys[0]: Unbounded(shape=shape, dtype=like.dtype, device=like.device)}
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        cost = self._cost(next_tensordict)
-        step = tensordict.get("_step", None)
-        if step is not None:
-            cost = torch.where(step.reshape(tensordict.batch_size).unsqueeze(-1), cost, torch.zeros_like(cost))
-        next_tensordict.set(self.out_keys[0], cost)
+        next_tensordict = super()._step(tensordict, next_tensordict)
+        cost, stepping = next_tensordict.get(self.out_keys[0]), self._stepping(tensordict)
+        if stepping is not None:
+            cost = torch.where(stepping.unsqueeze(-1), cost, torch.zeros_like(cost))
+            next_tensordict.set(self.out_keys[0], cost)
         if self.penalty:
             next_tensordict.set(self.reward_key, next_tensordict.get(self.reward_key) - self.penalty * cost)
         if self.terminate:
@@ -83,25 +93,6 @@ class PowerLimitTransform(Transform):
                 next_tensordict.set(key, next_tensordict.get(key) | (cost > 0))
         return next_tensordict
 
-    def _cost(self, tensordict: TensorDictBase) -> torch.Tensor:
-        wrench, twist = (tensordict.get(key, None) for key in self.in_keys)
-        if wrench is None or twist is None:
-            raise KeyError(
-                f"PowerLimitTransform needs {self.in_keys}; the tensordict holds "
-                f"{sorted(str(key) for key in tensordict.keys(True, True))}."
-            )
-        return self.dt * (power(wrench, twist).abs() - self.p_max).clamp_min(0.0)
-
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set(self.out_keys[0], torch.zeros_like(self._cost(tensordict_reset)))
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the cost of stored readings; rewards and ends are those of the record."""
-        return tensordict.set(self.out_keys[0], self._cost(tensordict))
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Declare the cost."""
-        like = observation_spec[self.in_keys[0]]
-        shape = (*like.shape[:-1], 1)
-        observation_spec[self.out_keys[0]] = Unbounded(shape=shape, dtype=like.dtype, device=like.device)
-        return observation_spec
+        tensordict_reset = super()._reset(tensordict, tensordict_reset)
+        return tensordict_reset.set(self.out_keys[0], torch.zeros_like(tensordict_reset.get(self.out_keys[0])))

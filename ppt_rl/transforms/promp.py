@@ -10,11 +10,13 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
-from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
+from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.promp import Gaussian, unvec, vec
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
-from ppt_rl.transforms.base import ActionTransform, replace_leaf
+from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.specs import replace_leaf
+from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["ProMPTransform"]
 
@@ -22,7 +24,7 @@ __all__ = ["ProMPTransform"]
 _LEFT = ("phase", "reference_position", "reference_velocity")
 
 
-class ProMPTransform(ActionTransform):
+class ProMPTransform(TimedTransform, ActionTransform):
     r"""Turns a residual ``dw`` ``(*B, K * D)`` into the references of the next control steps, ``(*B, N, 13)``.
 
     .. math:: w = w_{ref} + \mathrm{scale} \cdot \Delta w, \qquad y(\phi) = \Phi(\phi)^\top W
@@ -40,7 +42,7 @@ class ProMPTransform(ActionTransform):
         residual_scale: one number, or D of them: how far a residual of 1 moves a weight [unit of each coordinate].
         replan_steps: control steps from one policy step to the next. None is the paper's "episode-level": one policy
             step for the whole duration; 1 is its "each timestep".
-        dt: control step [s].
+        dt: control step [s]; None takes it from the environment, and needs one.
         action_key: the action: residual outside, references towards the environment.
         pose_key: end-effector pose observation.
         weights_key: reference weights, as :class:`ViaPointTransform` writes them; where missing, the prior's mean.
@@ -59,7 +61,7 @@ class ProMPTransform(ActionTransform):
         *,
         residual_scale: float | Sequence[float] = 0.03,
         replan_steps: int | None = None,
-        dt: float = 0.01,
+        dt: float | None = None,
         action_key: NestedKey = "action",
         pose_key: NestedKey = "pose",
         weights_key: NestedKey = "weights_mean",
@@ -67,13 +69,6 @@ class ProMPTransform(ActionTransform):
         super().__init__(action_key)
         if promp.num_dof != task_space.num_dof:
             raise ValueError(f"the ProMP has {promp.num_dof} degrees of freedom and the task space {task_space.axes}.")
-        self.dt = require_positive("dt", dt, "s")
-        self.total_steps = round(promp.duration / dt)
-        if self.total_steps < 1 or abs(self.total_steps * dt - promp.duration) > 1e-6:
-            raise ValueError(f"duration {promp.duration} s is no multiple of dt={dt} s.")
-        self.num_steps = self.total_steps if replan_steps is None else int(replan_steps)
-        if not 1 <= self.num_steps <= self.total_steps:
-            raise ValueError(f"replan_steps is {replan_steps}; expected 1 to {self.total_steps}, or None.")
         scale = torch.as_tensor(residual_scale, dtype=torch.get_default_dtype()).reshape(-1)
         if scale.numel() not in (1, promp.num_dof) or not bool((scale > 0).all()):
             raise ValueError(f"residual_scale is {residual_scale}; expected 1 or {promp.num_dof} positive numbers.")
@@ -81,7 +76,29 @@ class ProMPTransform(ActionTransform):
         self.task_space = task_space
         self.pose_key = pose_key
         self.weights_key = weights_key
+        self.replan_steps = None if replan_steps is None else int(replan_steps)
         self.register_buffer("residual_scale", scale.expand(promp.num_dof).clone())
+        self.dt = dt
+
+    @property
+    def total_steps(self) -> int:
+        """Control steps of the primitive's whole duration."""
+        return round(self.promp.duration / self.dt)
+
+    @property
+    def num_steps(self) -> int:
+        """Control steps of a chunk."""
+        return self.total_steps if self.replan_steps is None else self.replan_steps
+
+    def _accept_dt(self, dt: float) -> None:
+        duration, replan = self.promp.duration, self.replan_steps
+        total = round(duration / dt)
+        if total < 1 or abs(total * dt - duration) > 1e-6:
+            raise ValueError(
+                f"the ProMP's duration is {duration} s; expected a multiple of the control step, dt={dt} s."
+            )
+        if replan is not None and not 1 <= replan <= total:
+            raise ValueError(f"replan_steps is {replan}; expected 1 to {total}, or None.")
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (action,) = self._require(tensordict, self.action_key)
@@ -89,11 +106,12 @@ class ProMPTransform(ActionTransform):
         require_finite("action (ProMP residual)", action)
         phase, position, velocity = self._current(tensordict, action)
         weights = self._joined(self._weights(tensordict, action), phase, position, velocity)
-        offsets = torch.arange(self.num_steps + 1, dtype=action.dtype, device=action.device) / self.total_steps
+        total = self.total_steps
+        offsets = torch.arange(self.num_steps + 1, dtype=action.dtype, device=action.device) / total
         phases = (phase + offsets).clamp_max(1.0)  # (*B, N + 1)
         positions, velocities, _ = self.promp.decode(weights, phases)
         # Past the end the reference rests where it is.
-        velocities = velocities * (phase + offsets <= 1.0 + 0.5 / self.total_steps).unsqueeze(-1)
+        velocities = velocities * (phase + offsets <= 1.0 + 0.5 / total).unsqueeze(-1)
         positions, velocities = self._placed(tensordict, positions, velocities)
         reference = torch.cat([self.task_space.pose(positions), self.task_space.twist(velocities)], -1)
         tensordict.set(self.action_key, reference[..., :-1, :])

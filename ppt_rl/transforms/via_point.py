@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Composite, Unbounded
-from torchrl.envs import Transform
+from torchrl.data import TensorSpec, Unbounded
 
 from ppt_rl.functional.heading import to_heading
 from ppt_rl.functional.promp import unvec
 from ppt_rl.modules.promp import ProMP
+from ppt_rl.transforms.base import Entries, ObserverTransform
 
 __all__ = ["ViaPointTransform"]
 
@@ -18,7 +19,7 @@ _POSITION = ("via_phase", "via_position", "via_cov", "via_mask")
 _VELOCITY = ("via_velocity", "via_velocity_cov", "via_velocity_mask")
 
 
-class ViaPointTransform(Transform):
+class ViaPointTransform(ObserverTransform):
     r"""Conditions a ProMP's prior on via-points and writes the posterior, the reference of the residual.
 
     .. math::
@@ -58,59 +59,33 @@ class ViaPointTransform(Transform):
         self._position_keys, self._velocity_keys = keys(_POSITION), keys(_VELOCITY)
         self._mean_key, self._cov_key = keys(("weights_mean", "weights_cov"))
         out = [self._mean_key, self._cov_key] if write_cov else [self._mean_key]
-        super().__init__(in_keys=self._position_keys[:3], out_keys=out)
+        super().__init__(in_keys=[*self._position_keys[:3], *(frame or ())], out_keys=out)
         self.promp = promp
         self.write_cov = write_cov
         self.frame = frame
 
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        phase, position, cov = (next_tensordict.get(key, None) for key in self._position_keys[:3])
-        if phase is None or position is None or cov is None:
-            raise KeyError(
-                f"ViaPointTransform needs {self._position_keys[:3]}; the tensordict holds "
-                f"{sorted(str(k) for k in next_tensordict.keys(True, True))}."
-            )
-        velocity = [next_tensordict.get(key, None) for key in self._velocity_keys]
-        mask = next_tensordict.get(self._position_keys[3], None)
+    def _outputs(self, tensordict: TensorDictBase, state: Entries, *readings: Tensor) -> Entries:
+        phase, position, cov = readings[:3]
+        mask = tensordict.get(self._position_keys[3], None)
+        velocity = [tensordict.get(key, None) for key in self._velocity_keys]
         if self.frame is not None:
-            origin, heading = self._frame(next_tensordict)
-            position, cov = _in_frame(position - origin, cov, heading)
+            pose, heading = readings[3], readings[4].unsqueeze(-2)
+            position, cov = _in_frame(position - pose[..., None, :3], cov, heading)
             if velocity[0] is not None and velocity[1] is not None:
                 velocity[:2] = _in_frame(velocity[0], velocity[1], heading)
         posterior = self.promp.posterior(phase, position, cov, mask, *velocity)
-        next_tensordict.set(self._mean_key, unvec(posterior.mean, self.promp.num_basis).to(position.dtype))
+        outputs = {self._mean_key: unvec(posterior.mean, self.promp.num_basis).to(position.dtype)}
         if self.write_cov:
-            next_tensordict.set(self._cov_key, posterior.cov.to(position.dtype))
-        return next_tensordict
+            outputs[self._cov_key] = posterior.cov.to(position.dtype)
+        return outputs
 
-    def _frame(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Position ``(*B, 1, 3)`` and heading ``(*B, 1, 1)`` of the frame that via-points are turned to."""
-        keys = self.frame or ()
-        values = [tensordict.get(key, None) for key in keys]
-        missing = [key for key, value in zip(keys, values, strict=True) if value is None]
-        if missing:
-            raise KeyError(
-                f"ViaPointTransform needs {missing} for its frame; the tensordict holds "
-                f"{sorted(str(k) for k in tensordict.keys(True, True))}."
-            )
-        pose, heading = values
-        return pose[..., None, :3], heading.unsqueeze(-2)
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return self._call(tensordict_reset)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the posterior of stored via-points."""
-        return self._call(tensordict)
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Declare the posterior."""
-        like = observation_spec[self._position_keys[1]]
-        batch, basis, dof = like.shape[:-2], self.promp.num_basis, self.promp.num_dof
-        shapes = {self._mean_key: (basis, dof), self._cov_key: (basis * dof, basis * dof)}
-        for key in self.out_keys:
-            observation_spec[key] = Unbounded(shape=(*batch, *shapes[key]), dtype=like.dtype, device=like.device)
-        return observation_spec
+    def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
+        basis, size = self.promp.num_basis, self.promp.num_basis * self.promp.num_dof
+        shapes = {self._mean_key: (basis, self.promp.num_dof), self._cov_key: (size, size)}
+        return {
+            key: Unbounded(shape=(*like.shape[:-1], *shapes[key]), dtype=like.dtype, device=like.device)
+            for key in self.out_keys
+        }
 
 
 def _in_frame(vector: Tensor, cov: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""Environments, chains and episodes that several test files build."""
+"""Environments, chains and rollouts that several test files use."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MID_AIR = (0.45, 0.0, 0.35, 0.0, 1.0, 0.0, 0.0)
 
 
 class MidAirEnv(PandaEnv):
-    """Starts where there is room to move in every direction."""
+    """An environment that starts with free space in every direction."""
 
     start_pose = MID_AIR
 
@@ -41,7 +41,7 @@ def from_joint_positions(start: Tensor) -> type[PandaEnv]:
 def impedance_chain(
     env: PandaEnv, controller: CartesianImpedanceController | None = None, *between: Any, **posture: float
 ) -> EnvBase:
-    """The environment with a reference of pose and twist as its action; ``between`` acts on the wrench."""
+    """The environment with a reference pose and twist as its action; ``between`` are transforms of the wrench."""
     controller = CartesianImpedanceController() if controller is None else controller
     joints = JointTorqueTransform(Kinematics(env.arm, env.tool_length), **posture)
     return TransformedEnv(env, Compose(joints, *between, ImpedanceTransform(controller)))
@@ -54,13 +54,13 @@ def torques(env: PandaEnv, steps: int, seed: int = 0, scale: float = 0.05) -> Te
 
 
 def act(env: EnvBase, observation: TensorDictBase, action: Tensor | None = None) -> TensorDictBase:
-    """What the environment returns after one step; without an action, of zero torque."""
+    """The observation after one step; the default action is zero torque."""
     root = observation.exclude("reward")
     return env.step(root.set("action", env.action_spec.zero() if action is None else action))["next"]
 
 
 def rollout(env: PandaEnv, actions: Tensor) -> TensorDictBase:
-    """The rollout of given actions from a reset, through every end of an episode."""
+    """Rollout of given actions from a reset, across the ends of episodes."""
     steps = iter(actions.unbind(1))
     policy = lambda td: td.set("action", next(steps))  # noqa: E731
     return env.rollout(actions.shape[1], policy, break_when_any_done=False)
@@ -72,14 +72,14 @@ def leaves(td: TensorDictBase) -> dict[str, Tensor]:
 
 
 def put_box(env: PandaPushEnv, row: int, position: Any, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> None:
-    """Move the box of one environment, at rest, without its knowledge."""
+    """Move the box of one environment behind its back; the box is at rest afterwards."""
     state = env.engine._state[row]  # time, 7 joints and the box's pose, then velocities
     state[8:15] = [*position, *quat]
     state[22:28] = 0.0
 
 
 def forwarded(model: Any, state: np.ndarray) -> Any:
-    """MuJoCo data of a full physics state, with everything that follows from it."""
+    """MuJoCo data of a full physics state, after the forward computation."""
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     mujoco.mj_forward(model, data)
@@ -87,7 +87,7 @@ def forwarded(model: Any, state: np.ndarray) -> Any:
 
 
 def assert_same(a, b, rows=slice(None)):
-    """Every tensor of two tensordicts is bitwise the same in some rows."""
+    """Assert that all tensors of two tensordicts are bitwise equal in some rows."""
     a, b = leaves(a), leaves(b)
     assert a.keys() == b.keys()
     for name in a:

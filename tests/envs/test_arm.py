@@ -16,7 +16,7 @@ F64 = torch.float64
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 @pytest.mark.parametrize("env_class", ENVS)
-def test_what_comes_back_fits_the_specs(env_class, dtype):
+def test_observations_fit_the_specs(env_class, dtype):
     check_env_specs(env_class(2, duration=0.05, seed=0, dtype=dtype))
 
 
@@ -27,7 +27,7 @@ def test_a_tensordict_of_another_batch_size_is_refused():
         env.step(env.reset()[:1].set("action", torch.zeros(1, 7)))
 
 
-def test_a_seed_gives_the_same_rollout_to_the_bit_on_one_thread_and_on_two():
+def test_a_seed_gives_bitwise_the_same_rollout_on_one_thread_and_on_two():
     runs = []
     for num_threads in (1, 2, 2):
         env = PandaPushEnv(5, duration=0.06, seed=3, engine=EngineConfig(num_threads=num_threads))
@@ -44,13 +44,13 @@ def test_set_seed_repeats_the_episodes():
     assert_same(first, env.reset())
 
 
-def test_two_seeds_draw_two_episodes_in_every_row():
+def test_different_seeds_draw_different_episodes_in_every_environment():
     first, second = (PandaPushEnv(4, seed=seed).reset() for seed in (0, 1))
     for key in ("box_pose", "goal", "pose"):
         assert (first[key] != second[key]).any(-1).all(), key
 
 
-def test_the_rows_of_a_batch_draw_different_episodes():
+def test_the_environments_of_a_batch_draw_different_episodes():
     goal = PandaPushEnv(64, seed=0).reset()["goal"]
     assert len(goal.unique(dim=0)) == 64
 
@@ -68,7 +68,7 @@ def test_every_measured_number_varies_over_a_random_rollout():
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 @pytest.mark.parametrize("env_class", ENVS)
 @pytest.mark.parametrize("event", ["step", "masked step", "partial reset", "full reset"])
-def test_a_kept_observation_does_not_change_afterwards(env_class, dtype, event):
+def test_a_returned_observation_does_not_change_later(env_class, dtype, event):
     env = env_class(3, seed=0, dtype=dtype)
     torque = torques(env, 6)
     observation = env.reset()
@@ -92,7 +92,7 @@ def test_a_kept_observation_does_not_change_afterwards(env_class, dtype, event):
 
 
 @pytest.mark.parametrize("env_class", ENVS)
-def test_a_partial_reset_restarts_its_rows_and_leaves_the_others_alone(env_class):
+def test_a_partial_reset_restarts_its_environments_and_leaves_the_others_alone(env_class):
     env = env_class(4, duration=0.1, seed=0)
     torque = torques(env, 8)
     observation = env.reset()
@@ -112,7 +112,7 @@ def test_a_partial_reset_restarts_its_rows_and_leaves_the_others_alone(env_class
 
 
 @pytest.mark.parametrize("env_class", ENVS)
-def test_rows_outside_a_step_mask_stay_as_they_are(env_class):
+def test_environments_outside_a_step_mask_do_not_change(env_class):
     env = env_class(3, seed=0)
     torque = torques(env, 4)
     observation = act(env, env.reset(), torque[:, 0])
@@ -125,7 +125,7 @@ def test_rows_outside_a_step_mask_stay_as_they_are(env_class):
     assert (after["joint_position"][mask] != observation["joint_position"][mask]).all()
 
 
-def test_rows_outside_a_step_mask_earn_nothing():
+def test_environments_outside_a_step_mask_get_no_reward():
     env = PandaPushEnv(3, seed=0)
     torque = torques(env, 3)
     observation = act(env, env.reset(), torque[:, 0])
@@ -134,7 +134,7 @@ def test_rows_outside_a_step_mask_earn_nothing():
     assert all((term[1] == 0).all() for term in after["reward_terms"].values())
 
 
-def test_rows_outside_a_step_mask_do_not_count_time():
+def test_time_stands_still_for_environments_outside_a_step_mask():
     env = PandaEnv(3, duration=0.05, seed=0)
     observation = env.reset()
     for _ in range(2):
@@ -146,7 +146,7 @@ def test_rows_outside_a_step_mask_do_not_count_time():
     assert ends == [[False] * 3] * 2 + [[True, False, True]] * 2 + [[True] * 3]
 
 
-def test_a_masked_step_moves_its_rows_as_a_full_step_does():
+def test_a_masked_step_moves_its_environments_as_a_full_step_does():
     full, masked = (PandaPushEnv(3, seed=0) for _ in range(2))
     torque = torques(full, 2)
     a = act(full, full.reset(), torque[:, 0])
@@ -180,7 +180,7 @@ def test_an_episode_starts_at_the_start_pose_at_rest():
 
 @pytest.mark.parametrize("steps_before", [0, 3])
 @pytest.mark.parametrize(("entry", "value"), [(3, np.nan), (3, np.inf), (17, np.nan), (17, 1e12), (26, -1e11)])
-def test_a_row_whose_physics_blows_up_is_truncated_and_touches_no_other(entry, value, steps_before):
+def test_an_environment_whose_physics_diverges_is_truncated_and_affects_no_other(entry, value, steps_before):
     env, reference = (PandaPushEnv(3, seed=0) for _ in range(2))
     torque = torques(env, 6)
     observation, expected = env.reset(), reference.reset()
@@ -204,7 +204,7 @@ def test_a_row_whose_physics_blows_up_is_truncated_and_touches_no_other(entry, v
     assert_same(moved, act(reference, expected, torque[:, 4]), [0, 2])
 
 
-def test_divergence_in_a_masked_step_marks_its_own_row():
+def test_divergence_in_a_masked_step_marks_its_own_environment():
     env = PandaEnv(4, seed=0)
     observation = act(env, env.reset())
     env.engine._state[2, 10] = np.nan
@@ -213,7 +213,7 @@ def test_divergence_in_a_masked_step_marks_its_own_row():
     assert all(torch.isfinite(leaf).all() for leaf in leaves(after).values())
 
 
-def test_divergence_at_the_horizon_of_a_task_is_no_terminal_state():
+def test_divergence_at_the_horizon_of_a_task_is_not_a_terminal_state():
     env = PandaPushEnv(2, duration=0.01, seed=0)
     observation = env.reset()
     env.engine._state[0, 17] = np.nan

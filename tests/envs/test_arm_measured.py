@@ -15,12 +15,12 @@ F64 = torch.float64
 
 
 def moving(steps=40, num_envs=3, scale=0.1):
-    """Rollout at physics rate: one physics step per control step, so that differences in time are exact."""
+    """A rollout with one physics step per control step, so that finite differences in time are exact."""
     env = MidAirEnv(num_envs, control_dt=0.0005, duration=1.0, seed=0, dtype=F64)
     return env, rollout(env, torques(env, steps, scale=scale).cumsum(1) * 0.3)["next"]
 
 
-def test_no_torque_leaves_the_arm_where_it_is():
+def test_without_torque_the_arm_stays_where_it_is():
     env = PandaEnv(2, seed=0)
     start = env.reset()
     after = rollout(env, torch.zeros(2, 50, 7))["next"][:, -1]
@@ -42,7 +42,7 @@ def test_the_force_in_free_motion_is_the_mass_of_the_tool_times_its_acceleration
     assert_close(run["wrench"][:, :-1, :3], inertial, rtol=0.01, atol=1e-3)
 
 
-def test_slow_free_motion_is_felt_as_less_than_a_twentieth_of_a_newton():
+def test_slow_free_motion_is_measured_as_less_than_a_twentieth_of_a_newton():
     env = impedance_chain(MidAirEnv(2, duration=1.0, seed=0))
     observation, worst = env.reset(), 0.0
     for k in range(100):
@@ -56,7 +56,7 @@ def test_slow_free_motion_is_felt_as_less_than_a_twentieth_of_a_newton():
     assert worst < 0.05
 
 
-def test_a_tool_pressed_down_is_measured_with_the_wrench_it_is_pressed_with():
+def test_the_wrench_of_a_tool_pressed_on_the_box_is_measured_as_commanded():
     class AboveBox(PandaPushEnv):
         start_pose = (0.45, 0.0, 0.066, 0.0, 1.0, 0.0, 0.0)
 
@@ -78,7 +78,7 @@ def test_a_tool_pressed_down_is_measured_with_the_wrench_it_is_pressed_with():
     assert_close(observation["wrench"][:, 3:], commanded[:, 3:], rtol=0, atol=0.001)
 
 
-def test_the_twist_is_the_rate_of_the_pose():
+def test_the_twist_is_the_time_derivative_of_the_pose():
     env, run = moving()
     before, after = run["pose"][:, :-1], run["pose"][:, 1:]
     linear = (after[..., :3] - before[..., :3]) / env.engine_config.physics_dt
@@ -124,7 +124,7 @@ def test_the_wrench_transform_commands_the_torque_that_the_environment_executes(
     assert np.array_equal(env.engine._control[:, 0], commanded.numpy())
 
 
-def test_torque_above_the_limits_acts_as_torque_at_the_limits():
+def test_torque_above_the_limits_acts_like_torque_at_the_limits():
     limit = torch.tensor(PANDA.joints.torque_limits).expand(2, 7)
     runs = []
     for torque in (limit, 3 * limit, -limit, -3 * limit):

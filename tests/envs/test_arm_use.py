@@ -42,14 +42,14 @@ def test_an_impossible_environment_is_refused(arguments, message):
 
 
 @pytest.mark.parametrize("shape", [(2, 6), (2, 8), (7,), (2, 1, 7)])
-def test_an_action_of_another_shape_is_refused(shape):
+def test_an_action_of_the_wrong_shape_is_refused(shape):
     env = PandaEnv(2, seed=0)
     env.reset()
     with pytest.raises(ValueError, match=r"action has shape .* expected \(2, 7\).* Put JointTorqueTransform on"):
         env._checked_action(torch.zeros(shape), None)
 
 
-def test_a_step_with_a_wrench_for_an_action_says_which_transform_is_missing():
+def test_a_step_with_a_wrench_as_action_names_the_missing_transform():
     env = PandaEnv(2, seed=0)
     with pytest.raises(ValueError, match=r"action has shape \(2, 6\); expected \(2, 7\).*JointTorqueTransform"):
         act(env, env.reset(), torch.zeros(2, 6))
@@ -69,7 +69,7 @@ def test_an_action_that_is_not_finite_is_refused_before_it_reaches_the_physics(v
     assert all(np.array_equal(env.engine.state(row), states[row]) for row in range(2))
 
 
-def test_what_a_masked_row_would_do_is_not_looked_at():
+def test_the_action_of_a_masked_environment_is_ignored():
     env = PandaEnv(2, seed=0)
     action = torch.zeros(2, 7)
     action[1] = float("nan")
@@ -83,12 +83,12 @@ def test_an_environment_that_does_not_exist_has_no_physics(index):
         PandaEnv(2, seed=0).physics(index)
 
 
-def test_a_camera_that_does_not_exist_is_refused_with_those_that_do():
+def test_an_unknown_camera_is_refused_with_the_known_ones():
     with pytest.raises(ValueError, match=r"camera is 'front'; expected one of .*overview.*side.*top"):
         PandaEnv(1, seed=0).render(camera="front")
 
 
-def test_without_an_opengl_library_rendering_says_what_to_install(monkeypatch):
+def test_rendering_without_an_opengl_library_says_what_to_install(monkeypatch):
     monkeypatch.setattr("ppt_rl.envs.rendering.rendering_backend", lambda: "disable")
     with pytest.raises(
         RuntimeError, match=r"needs an OpenGL library, and none was found. Install EGL or OSMesa.*libegl1"
@@ -101,7 +101,7 @@ def test_without_an_opengl_library_rendering_says_what_to_install(monkeypatch):
 
 @opengl
 @pytest.mark.parametrize("camera", ["overview", "side", "top"])
-def test_a_picture_has_the_size_asked_for_and_shows_something(camera):
+def test_a_picture_has_the_requested_size_and_shows_something(camera):
     env = PandaPushEnv(2, seed=0)
     env.reset()
     picture = env.render(1, camera=camera, width=96, height=64)
@@ -112,7 +112,7 @@ def test_a_picture_has_the_size_asked_for_and_shows_something(camera):
 
 
 @opengl
-def test_a_picture_follows_the_environment():
+def test_a_picture_shows_the_present_state():
     env = PandaPushEnv(2, seed=0)
     observation = env.reset()
     before = env.render(0, width=96, height=64)
@@ -123,7 +123,7 @@ def test_a_picture_follows_the_environment():
     env.close()
 
 
-def test_the_inspected_physics_is_in_the_state_of_the_environment():
+def test_the_inspected_physics_has_the_state_of_the_environment():
     env = PandaPushEnv(3, seed=0, dtype=F64)
     observation = env.reset()
     for row in (2, 0):
@@ -149,7 +149,7 @@ def test_changing_the_inspected_physics_does_not_change_the_environment():
     assert env.engine.models[0].geom("box").friction[0] < 1
 
 
-def test_importing_the_environments_without_a_display_says_nothing():
+def test_importing_the_environments_without_a_display_prints_nothing():
     variables = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")}
     done = subprocess.run(
         [sys.executable, "-c", "import ppt_rl.envs"], env=variables, capture_output=True, text=True, check=False

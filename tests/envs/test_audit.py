@@ -26,19 +26,19 @@ H = 0.001  # physics step of the scripted engine [s]
 
 @pytest.fixture(scope="module")
 def model():
-    """The sensors of the arm, in a world without gravity: the wrist feels the wrench on the world and no weight."""
+    """The arm without gravity, so that the wrist sensor measures the wrench on the world and no weight."""
     model = mjcf.Physics.from_mjcf_model(table_scene(PANDA, PADDLE, physics_dt=H)).model.ptr
     model.opt.gravity[:] = 0.0
     return model
 
 
 class ScriptedEngine:
-    """Plays one joint velocity and one speed of the tool after the other, against a force of 1 N on the world.
+    """Replays joint velocities and tool speeds, with a constant force of 1 N on the world.
 
     Args:
-        model: whose sensors it fills.
-        velocity: ``(num_envs, steps, substeps)`` of the second joint [rad/s].
-        speed: likewise, of the tool along y [m/s].
+        model: the model whose sensors it fills.
+        velocity: ``(num_envs, steps, substeps)`` velocity of the second joint [rad/s].
+        speed: speed of the tool along y, of the same shape [m/s].
     """
 
     def __init__(self, model, velocity, speed=None):
@@ -65,18 +65,18 @@ class ScriptedEngine:
 
 
 def torque(*values):
-    """``(R, 7)`` torques of the second joint, and of the first, which does not move."""
+    """``(R, 7)`` torques: these on the second joint, and 5 N m on the first, which does not move."""
     control = np.zeros((len(values), 7))
     control[:, 0], control[:, 1] = 5.0, values
     return control
 
 
-def books(audited):
-    """The books by name, ``(num_envs,)`` each."""
+def totals(audited):
+    """The audited totals by name, ``(num_envs,)`` each."""
     return {name: value.squeeze(-1) for name, value in audited.observe(F64).items()}
 
 
-def test_the_books_are_closed_before_the_first_step(model):
+def test_all_totals_are_zero_before_the_first_step(model):
     audited = AuditedPhysics(ScriptedEngine(model, np.ones((2, 1, 10))), model)
     assert tuple(audited.observe(torch.float32)) == AUDITED
     assert all(value.dtype == torch.float32 for value in audited.observe(torch.float32).values())
@@ -89,19 +89,19 @@ def test_a_constant_power_does_work_in_proportion_to_time(model):
     for step in range(1, 5):
         audited.step(torque(2.0, 6.0))
         seconds = step * 10 * H
-        found = books(audited)
+        found = totals(audited)
         assert_close(found["commanded_work"], torch.tensor([1.0, 3.0], dtype=F64) * seconds)
         assert_close(found["commanded_power"], torch.tensor([1.0, 3.0], dtype=F64))
         assert_close(found["measured_work"], torch.tensor([0.3, 0.3], dtype=F64) * seconds)
         assert_close(found["measured_power"], torch.tensor([0.3, 0.3], dtype=F64))
 
 
-def test_braking_counts_like_pushing_so_a_sinusoidal_power_does_the_work_of_its_size(model):
+def test_braking_counts_like_pushing_so_a_sinusoidal_power_does_the_work_of_its_absolute_value(model):
     phase = 2 * math.pi * np.arange(1000).reshape(1, 20, 50) / 1000  # one period in a second, 20 control steps
     audited = AuditedPhysics(ScriptedEngine(model, 0.5 * np.sin(phase), 0.3 * np.cos(phase)), model)
     for _ in range(20):
         audited.step(torque(4.0))
-    found = books(audited)
+    found = totals(audited)
     assert found["commanded_work"].item() == pytest.approx(2.0 * 2 / math.pi, rel=1e-5)
     assert found["commanded_power"].item() == pytest.approx(2.0)
     assert found["measured_work"].item() == pytest.approx(0.3 * 2 / math.pi, rel=1e-5)
@@ -115,42 +115,42 @@ def test_the_largest_power_is_remembered_after_it_has_passed(model):
     peaks = []
     for _ in range(3):
         audited.step(torque(2.0))
-        peaks.append(books(audited)["commanded_power"].item())
+        peaks.append(totals(audited)["commanded_power"].item())
     assert peaks == [0.0, 6.0, 6.0]
-    assert books(audited)["commanded_work"].item() == pytest.approx(6.0 * H)
+    assert totals(audited)["commanded_work"].item() == pytest.approx(6.0 * H)
 
 
-def test_a_row_that_diverges_books_nothing_and_goes_on_afterwards(model):
+def test_a_diverged_environment_adds_nothing_and_goes_on_afterwards(model):
     engine = ScriptedEngine(model, np.ones((3, 3, 10)), np.ones((3, 3, 10)))
     audited = AuditedPhysics(engine, model)
     audited.step(torque(1.0, 1.0, 1.0))
     engine.diverging[1] = True
     audited.step(torque(2.0, 2.0, 2.0))
-    found = books(audited)
+    found = totals(audited)
     assert_close(found["commanded_work"], torch.tensor([3.0, 1.0, 3.0], dtype=F64) * 10 * H)
     assert_close(found["commanded_power"], torch.tensor([2.0, 1.0, 2.0], dtype=F64))
     assert_close(found["measured_work"], torch.tensor([2.0, 1.0, 2.0], dtype=F64) * 10 * H)
     engine.diverging[1] = False
     audited.step(torque(4.0, 4.0, 4.0))
-    assert_close(books(audited)["commanded_work"], torch.tensor([7.0, 5.0, 7.0], dtype=F64) * 10 * H)
+    assert_close(totals(audited)["commanded_work"], torch.tensor([7.0, 5.0, 7.0], dtype=F64) * 10 * H)
 
 
-def test_a_reset_opens_the_books_of_its_rows_only(model):
+def test_a_reset_clears_the_totals_of_its_environments_only(model):
     audited = AuditedPhysics(ScriptedEngine(model, np.ones((4, 2, 10)), np.ones((4, 2, 10))), model)
     audited.step(torque(1.0, 2.0, 3.0, 4.0))
     audited.reset(np.array([2, 0]), np.zeros((2, 7)))
-    found = books(audited)
+    found = totals(audited)
     assert_close(found["commanded_power"], torch.tensor([0.0, 2.0, 0.0, 4.0], dtype=F64))
     assert_close(found["commanded_work"], torch.tensor([0.0, 2.0, 0.0, 4.0], dtype=F64) * 10 * H)
     assert_close(found["measured_work"], torch.tensor([0.0, 1.0, 0.0, 1.0], dtype=F64) * 10 * H)
     assert_close(found["measured_power"], torch.tensor([0.0, 1.0, 0.0, 1.0], dtype=F64))
 
 
-def test_a_step_of_some_rows_in_any_order_books_for_them_alone(model):
+def test_a_step_of_some_environments_in_any_order_adds_to_their_totals_only(model):
     audited = AuditedPhysics(ScriptedEngine(model, np.ones((4, 2, 10))), model)
     audited.step(torque(1.0, 1.0, 1.0, 1.0))
     audited.step(torque(3.0, 2.0), np.array([3, 1]))
-    found = books(audited)
+    found = totals(audited)
     assert_close(found["commanded_work"], torch.tensor([1.0, 3.0, 1.0, 4.0], dtype=F64) * 10 * H)
     assert_close(found["commanded_power"], torch.tensor([1.0, 2.0, 1.0, 3.0], dtype=F64))
 
@@ -174,11 +174,11 @@ def push(audit=True, **changes):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
-def test_an_audited_environment_returns_what_its_specs_say(dtype):
+def test_an_audited_environment_fits_its_specs(dtype):
     check_env_specs(push(dtype=dtype))
 
 
-def test_the_audit_changes_nothing_else_of_a_rollout():
+def test_the_audit_changes_nothing_else_in_a_rollout():
     env = push()
     actions = torques(env, 25, scale=0.1)  # into the second episode
     audited, plain = leaves(rollout(env, actions)), leaves(rollout(push(audit=False), actions))
@@ -189,7 +189,7 @@ def test_the_audit_changes_nothing_else_of_a_rollout():
         assert torch.equal(value, audited[name]), name
 
 
-def test_the_books_grow_within_an_episode_and_open_again_with_the_next():
+def test_the_totals_grow_within_an_episode_and_restart_with_the_next():
     env = push()
     run = rollout(env, torques(env, 45, scale=0.1))
     for name in AUDITED:
@@ -203,7 +203,7 @@ def test_the_books_grow_within_an_episode_and_open_again_with_the_next():
         assert (second[:, 0] < first[:, -1]).all(), name
 
 
-def test_a_partial_reset_opens_the_books_of_its_rows_only_and_a_masked_row_books_nothing():
+def test_a_partial_reset_clears_its_environments_only_and_a_masked_environment_adds_nothing():
     env = push(num_envs=3)
     torque = torques(env, 4, scale=0.1)
     observation = act(env, env.reset(), torque[:, 0])
@@ -220,7 +220,7 @@ def test_a_partial_reset_opens_the_books_of_its_rows_only_and_a_masked_row_books
     assert after[work][1] > reset[work][1]
 
 
-def test_a_row_whose_physics_blows_up_keeps_its_books():
+def test_an_environment_whose_physics_diverges_keeps_its_totals():
     env = push()
     torque = torques(env, 2, scale=0.1)
     before = act(env, env.reset(), torque[:, 0])
@@ -232,7 +232,7 @@ def test_a_row_whose_physics_blows_up_keeps_its_books():
     assert after["audit", "commanded_work"][0] > before["audit", "commanded_work"][0]
 
 
-def test_the_commanded_work_is_that_of_the_torques_that_reach_the_engine_over_every_substep(monkeypatch):
+def test_the_commanded_work_is_that_of_the_engines_torques_over_every_substep(monkeypatch):
     env = push(dtype=F64)
     inner, work, peak = env.engine._engine, torch.zeros(2, dtype=F64), torch.zeros(2, dtype=F64)
     velocity = sensor_span(inner.models[0], "joint_velocity1", "joint_velocity7")
@@ -252,18 +252,18 @@ def test_the_commanded_work_is_that_of_the_torques_that_reach_the_engine_over_ev
     assert_close(run["commanded_power"][:, -1, 0], peak)
 
 
-def test_at_the_rate_of_the_physics_the_audit_adds_up_what_is_observed():
+def test_at_the_rate_of_the_physics_the_audit_sums_what_is_observed():
     env = push(control_dt=0.002, duration=0.1, dtype=F64)
     action = torques(env, 40, scale=1.3)  # some of them above the limits
     limit = torch.tensor(PANDA.joints.torque_limits, dtype=F64)
     assert (action.abs() > limit).any()
     run = rollout(env, action)
     after = run["next"]
-    # What is observed after a step was read at the beginning of its only substep, with the torque already on.
+    # An observation after a step was read at the beginning of its only substep, when the torque already acted.
     commanded = (action.clamp(-limit, limit) * after["joint_velocity"]).sum(-1, keepdim=True).abs()
     measured = (after["wrench"] * after["twist"]).sum(-1, keepdim=True).abs()
     for name, power in (("commanded", commanded), ("measured", measured)):
         assert_close(after["audit", f"{name}_work"], 0.002 * power.cumsum(1))
         assert_close(after["audit", f"{name}_power"], power.cummax(1).values)
     early = (action.clamp(-limit, limit) * run["joint_velocity"]).sum(-1).abs().sum(1) * 0.002
-    assert (early / after["audit", "commanded_work"][:, -1, 0] - 1).abs().max() > 0.01  # one substep off is seen
+    assert (early / after["audit", "commanded_work"][:, -1, 0] - 1).abs().max() > 0.01  # a shift by one substep shows

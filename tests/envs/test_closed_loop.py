@@ -1,4 +1,4 @@
-"""Controller and arm together: what converges, what does not, how well it tracks, what the tank lets through."""
+"""Controller and arm in closed loop: convergence, tracking, and the limits of the tank."""
 
 import math
 
@@ -28,35 +28,35 @@ def angle_between(quat: Tensor, reference: Tensor) -> Tensor:
 
 @pytest.fixture(scope="module")
 def starts() -> Tensor:
-    """Joint positions of 200 tools at one place, turned off tool-down about random axes.
+    """Joint positions of 200 poses at one position, rotated away from tool-down about random axes.
 
-    The angle is drawn uniformly up to 2.5 rad and the axis over the sphere; the first 200 of 240 draws that the arm can
-    reach inside its joint limits are taken (nine of ten are).
+    The angle is uniform up to 2.5 rad and the axis uniform over the sphere. Of 240 draws these are the first 200 that
+    the arm can reach within its joint limits (nine in ten are).
     """
     generator = torch.Generator().manual_seed(0)
     axis = torch.randn(240, 3, generator=generator, dtype=torch.float64)
     axis = axis / axis.norm(dim=-1, keepdim=True)
     half = 0.5 * LARGEST * torch.rand(240, 1, generator=generator, dtype=torch.float64)
     turned = quat_multiply(torch.cat([half.cos(), half.sin() * axis], -1), DOWN.expand(240, 4))
-    place = torch.tensor(MID_AIR[:3], dtype=torch.float64)
+    position = torch.tensor(MID_AIR[:3], dtype=torch.float64)
     kinematics = Kinematics(PANDA, PandaEnv.tool.length, dtype=torch.float64)
     low, high = torch.tensor(PANDA.joints.position_limits, dtype=torch.float64).unbind(-1)
     joints = torch.tensor(PANDA.home, dtype=torch.float64).repeat(240, 1)
     for _ in range(80):
         pose, jacobian = kinematics(joints)
-        error = torch.cat([place - pose[:, :3], orientation_error(pose[:, 3:], turned)], -1)
+        error = torch.cat([position - pose[:, :3], orientation_error(pose[:, 3:], turned)], -1)
         gram = jacobian @ jacobian.mT + 0.01 * torch.eye(6, dtype=torch.float64)
         step = jacobian.mT @ torch.linalg.solve(gram, error.unsqueeze(-1))
         joints = torch.maximum(torch.minimum(joints + step.squeeze(-1), high), low)
     pose, _ = kinematics(joints)
-    reached = (angle_between(pose[:, 3:], turned) < 1e-4) & ((pose[:, :3] - place).norm(dim=-1) < 1e-4)
+    reached = (angle_between(pose[:, 3:], turned) < 1e-4) & ((pose[:, :3] - position).norm(dim=-1) < 1e-4)
     joints = joints[reached][:CASES]
     assert len(joints) == CASES
     return joints
 
 
 def errors_after(start: Tensor, controller: CartesianImpedanceController, seconds: float) -> tuple[Tensor, Tensor]:
-    """Errors in orientation [rad] and position [m] after holding the tool-down pose for some time."""
+    """Errors in orientation [rad] and position [m] after commanding the tool-down pose for some time."""
     env = impedance_chain(from_joint_positions(start)(len(start), duration=seconds, seed=0), controller)
     reference = torch.tensor([*MID_AIR, *[0.0] * 6]).expand(len(start), 13)
     observation = env.reset()
@@ -81,13 +81,13 @@ class PrintedController(CartesianImpedanceController):
 
 
 class SignOnlyController(PrintedController):
-    """The printed error with its sign turned and its frame, the desired one, left."""
+    """The printed error with its sign corrected but still in the desired frame."""
 
     sign = -1.0
 
 
 class CorrectedController(PrintedController):
-    """The right sign and frame, from matrices: what the library computes from quaternions."""
+    """The correct sign and frame from matrices; the library computes the same from quaternions."""
 
     def forward(self, pose, twist, reference_pose, reference_twist, stiffness=None, damping=None):
         wrench = CartesianImpedanceController.forward(self, pose, twist, reference_pose, reference_twist)
@@ -109,14 +109,14 @@ def test_the_random_orientation_errors_fill_the_range_up_to_two_and_a_half_radia
     assert angle.max() <= LARGEST
 
 
-def test_from_each_of_200_orientation_errors_up_to_two_and_a_half_radians_the_loop_converges(starts):
+def test_the_loop_converges_from_each_of_200_orientation_errors_up_to_two_and_a_half_radians(starts):
     orientation, position = errors_after(starts, CartesianImpedanceController(), seconds=2.5)
     assert orientation.max() < 0.02
     assert position.max() < 0.005
 
 
 @pytest.mark.parametrize(("controller", "cases"), [(PrintedController, CASES), (SignOnlyController, 60)])
-def test_with_the_printed_orientation_error_no_case_converges_even_with_its_sign_turned(starts, controller, cases):
+def test_with_the_printed_orientation_error_no_case_converges_even_with_the_sign_corrected(starts, controller, cases):
     orientation, _ = errors_after(starts[:cases], controller(), seconds=2.5)
     assert orientation.min() > 0.02
 
@@ -193,11 +193,11 @@ def test_no_reference_makes_the_commanded_power_or_work_exceed_the_tank(p_max, e
     work = torch.zeros(32, 1, dtype=torch.float64)
     valves = []
     for k in range(300):
-        if k % 20 == 0:  # a jump of the reference, up to 0.5 m, any orientation, and a velocity that means nothing
-            place = torch.tensor(MID_AIR[:3]) + torch.rand(32, 3, generator=generator) - 0.5
+        if k % 20 == 0:  # the reference jumps by up to 0.5 m to any orientation, with an arbitrary velocity
+            position = torch.tensor(MID_AIR[:3]) + torch.rand(32, 3, generator=generator) - 0.5
             quat = torch.randn(32, 4, generator=generator)
             twist = 4 * torch.rand(32, 6, generator=generator) - 2
-            reference = torch.cat([place, quat / quat.norm(dim=-1, keepdim=True), twist], -1)
+            reference = torch.cat([position, quat / quat.norm(dim=-1, keepdim=True), twist], -1)
         nominal = controller(observation["pose"], observation["twist"], reference[:, :7], reference[:, 7:])
         flow = observation["twist"]
         observation = act(env, observation, reference)
@@ -207,5 +207,5 @@ def test_no_reference_makes_the_commanded_power_or_work_exceed_the_tank(p_max, e
         work += 0.01 * power.double()
         assert (work <= e_max).all()
         valves.append(observation["valve"])
-    assert (torch.stack(valves) < 0.1).any(0).all()  # the limits did bind, in every row
+    assert (torch.stack(valves) < 0.1).any(0).all()  # the valve throttled in every environment
     assert work.max() > 0.5 * e_max

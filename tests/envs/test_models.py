@@ -21,14 +21,14 @@ def compiled(root):
 
 @pytest.fixture(scope="module")
 def physics_model():
-    """The model that the pushing environment steps."""
+    """The model that the pushing environment simulates."""
     return PandaPushEnv(1, seed=0).engine.models[0]
 
 
 # -- the arm -----------------------------------------------------------------------------------------------------------
 
 
-def test_joint_ranges_and_torque_limits_are_those_of_the_table(physics_model):
+def test_joint_ranges_and_torque_limits_are_the_arms(physics_model):
     for i in range(7):
         joint, motor = physics_model.joint(f"joint{i + 1}"), physics_model.actuator(f"motor{i + 1}")
         assert joint.range.tolist() == list(PANDA.joints.position_limits[i])
@@ -39,7 +39,7 @@ def test_joint_ranges_and_torque_limits_are_those_of_the_table(physics_model):
         assert motor.gear.tolist() == [1, 0, 0, 0, 0, 0]
 
 
-def test_masses_centres_and_inertias_of_the_links_are_those_of_the_table(physics_model):
+def test_masses_centres_and_inertias_of_the_links_are_the_arms(physics_model):
     for i, link in enumerate(PANDA.links, start=1):
         body = physics_model.body(f"link{i}")
         assert body.mass[0] == link.mass
@@ -92,12 +92,12 @@ def test_no_scene_needs_a_mesh_or_a_file(scene):
 
 
 @pytest.mark.parametrize("env_class", [PandaEnv, PandaPushEnv])
-def test_every_geom_that_is_stepped_can_collide(env_class):
+def test_every_simulated_geom_can_collide(env_class):
     model = env_class(1, seed=0).engine.models[0]
     assert ((model.geom_contype != 0) | (model.geom_conaffinity != 0)).all()
 
 
-def test_dropping_the_looks_changes_no_mass_and_no_contact_geometry():
+def test_removing_visual_geoms_changes_no_mass_and_no_contact_geometry():
     looks, bare = push_scene(PANDA), push_scene(PANDA)
     remove_visual_geoms(bare)
     full, stepped = compiled(looks), compiled(bare)
@@ -122,7 +122,7 @@ def test_the_box_collides_with_tool_and_table(physics_model):
 # -- randomisation -----------------------------------------------------------------------------------------------------
 
 
-def test_what_is_drawn_for_a_box_lies_in_its_range_and_is_written_to_its_own_model():
+def test_the_properties_of_a_box_lie_in_their_ranges_and_are_written_to_its_own_model():
     env = PandaPushEnv(128, seed=0)
     observation = env.reset()
     ranges = PushRandomisation()
@@ -143,7 +143,7 @@ def test_what_is_drawn_for_a_box_lies_in_its_range_and_is_written_to_its_own_mod
     assert sorted(observation["box_size"].unique().tolist()) == pytest.approx([0.06, 0.08])
 
 
-def test_a_randomised_model_is_the_one_that_would_be_compiled_with_its_numbers():
+def test_a_randomised_model_equals_one_compiled_with_the_same_numbers():
     env = PandaPushEnv(4, seed=0)
     env.reset()
     for model in env.engine.models:
@@ -159,7 +159,7 @@ def test_a_randomised_model_is_the_one_that_would_be_compiled_with_its_numbers()
             np.testing.assert_allclose(getattr(model, name), getattr(fresh, name), rtol=1e-6, atol=0, err_msg=name)
 
 
-def test_what_is_drawn_for_the_start_and_the_goal_lies_in_its_range_and_fills_it():
+def test_start_and_goal_fill_their_ranges():
     observation = PandaPushEnv(128, seed=1).reset()
     ranges = PushRandomisation()
     yaw = 2 * torch.atan2(observation["box_pose"][:, 6], observation["box_pose"][:, 3])
@@ -191,7 +191,7 @@ def test_a_seed_reproduces_the_models_of_every_later_episode():
     assert not np.array_equal(episodes[0][0], episodes[1][0])
 
 
-def test_randomising_the_box_leaves_the_arm_and_its_tool_as_they_are():
+def test_randomising_the_box_changes_neither_arm_nor_tool():
     env = PandaPushEnv(2, seed=0)
     arm = [*range(1, 1 + env.engine.models[0].body("tool").id)]
     before = [(m.body_mass[arm].copy(), m.body_inertia[arm].copy(), m.body_pos[arm].copy()) for m in env.engine.models]
@@ -249,7 +249,7 @@ def test_a_sliding_box_stops_on_a_straight_line_after_the_distance_of_coulomb_fr
     assert length[-1] == pytest.approx(speed**2 / (2 * friction * 9.81), rel=0.05)
 
 
-def test_the_inspection_model_has_the_box_of_the_environment():
+def test_the_inspected_model_has_the_box_of_its_environment():
     env = PandaPushEnv(2, seed=0)
     env.reset()
     for row in (1, 0):

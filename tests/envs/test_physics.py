@@ -12,13 +12,13 @@ SUBSTEPS = 20
 
 
 def make_engine(num_envs=4, num_threads=2):
-    """An engine of pushing scenes, the tool 1 cm in front of the box, each box of its own mass."""
+    """An engine of pushing scenes in which every box has another mass."""
     model = mjcf.Physics.from_mjcf_model(push_scene(PANDA)).model.ptr
     engine = ThreadedPhysics(model, num_envs, SUBSTEPS, num_threads)
     for row, each in enumerate(engine.models):
         each.body("box").mass[:] = 0.05 * (1 + row)
     position = np.tile([*PANDA.home, 0.45, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0], (num_envs, 1))
-    # The tool's point at home lies in the air: a tall box under it would not be reached, so let the box fall.
+    # At home the tool is in the air and touches nothing; the boxes fall from different heights.
     position[:, 9] += 0.0005 * np.arange(num_envs)
     engine.reset(np.arange(num_envs), position)
     return engine
@@ -30,7 +30,7 @@ def controls(num_envs, steps, seed=0):
 
 
 def plain_control_step(model, state, control):
-    """What MuJoCo alone makes of a control step: next state, and the sensors of every substep."""
+    """A control step with plain MuJoCo calls: the next state, and the sensors of every substep."""
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state, STATE)
     data.qacc_warmstart[:] = 0.0
@@ -45,7 +45,7 @@ def plain_control_step(model, state, control):
 
 
 @pytest.mark.parametrize("num_threads", [1, 2])
-def test_the_engine_does_what_a_plain_loop_of_physics_steps_does(num_threads):
+def test_the_engine_equals_a_plain_loop_of_physics_steps(num_threads):
     engine = make_engine(num_threads=num_threads)
     states = [engine.state(row) for row in range(4)]
     for control in controls(4, 6):
@@ -57,7 +57,7 @@ def test_the_engine_does_what_a_plain_loop_of_physics_steps_does(num_threads):
     assert not step.diverged.any()
 
 
-def test_a_step_of_some_rows_in_any_order_does_to_them_what_a_full_step_does():
+def test_a_step_of_some_environments_in_any_order_equals_their_part_of_a_full_step():
     full, some = make_engine(), make_engine()
     (control,) = controls(4, 1)
     before = some.state(1)
@@ -69,7 +69,7 @@ def test_a_step_of_some_rows_in_any_order_does_to_them_what_a_full_step_does():
     np.testing.assert_array_equal(some.state(1), before)
 
 
-def test_a_reset_gives_the_sensor_readings_of_the_state_it_makes():
+def test_a_reset_returns_the_sensor_readings_of_the_new_state():
     engine = make_engine()
     engine.step(controls(4, 1)[0])
     position = np.array([[*PANDA.home, 0.5, 0.1, 0.03, 1.0, 0.0, 0.0, 0.0]])
@@ -84,7 +84,7 @@ def test_a_reset_gives_the_sensor_readings_of_the_state_it_makes():
 
 @pytest.mark.parametrize("warm", [0, 2])
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e12])
-def test_a_row_that_blows_up_is_flagged_and_keeps_the_state_it_had(warm, value):
+def test_a_diverging_environment_is_flagged_and_keeps_its_state(warm, value):
     engine = make_engine()
     for control in controls(4, warm):
         engine.step(control)
@@ -95,7 +95,7 @@ def test_a_row_that_blows_up_is_flagged_and_keeps_the_state_it_had(warm, value):
     np.testing.assert_array_equal(engine.state(2), before)
 
 
-def test_a_row_that_blows_up_leaves_no_trace_in_the_others():
+def test_a_diverging_environment_does_not_affect_the_others():
     engine, reference = make_engine(num_threads=1), make_engine(num_threads=1)
     engine._state[0, 17] = np.nan
     for control in controls(4, 3):
@@ -104,19 +104,19 @@ def test_a_row_that_blows_up_leaves_no_trace_in_the_others():
         assert a.diverged.tolist() == [True, False, False, False]
 
 
-def test_the_state_handed_out_is_a_copy():
+def test_the_returned_state_is_a_copy():
     engine = make_engine()
     engine.state(0)[:] = 0.0
     assert engine.state(0)[1:8].any()
 
 
 @pytest.mark.parametrize(("control_dt", "physics_dt", "substeps"), [(0.01, 0.0005, 20), (0.01, 0.01, 1), (0.3, 0.1, 3)])
-def test_the_substeps_are_the_whole_ratio_of_the_time_steps(control_dt, physics_dt, substeps):
+def test_the_number_of_substeps_is_the_ratio_of_the_time_steps(control_dt, physics_dt, substeps):
     assert substeps_per_control_step(control_dt, physics_dt) == substeps
 
 
 @pytest.mark.parametrize(("control_dt", "physics_dt"), [(0.01, 0.003), (0.01, 0.02), (0.0101, 0.0005)])
-def test_a_time_step_that_does_not_divide_is_refused_with_one_that_does(control_dt, physics_dt):
+def test_a_time_step_that_does_not_divide_the_control_step_is_refused_with_one_that_does(control_dt, physics_dt):
     with pytest.raises(ValueError, match=r"expected a whole number\. Set, for instance, physics_dt=") as error:
         substeps_per_control_step(control_dt, physics_dt)
     proposed = float(str(error.value).rsplit("=", 1)[1].rstrip("."))

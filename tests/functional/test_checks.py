@@ -1,13 +1,14 @@
 import math
+from dataclasses import dataclass
 
 import pytest
 import torch
 
-from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
+from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive, require_ranges
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_one_bad_entry_is_counted_in_the_error(bad):
+def test_the_error_counts_the_bad_entries(bad):
     with pytest.raises(ValueError, match=r"wrench holds 1 NaN or infinite entries of 6 \(shape \(2, 3\)\)"):
         require_finite("wrench", torch.tensor([[0.0, 1.0, 2.0], [3.0, bad, 5.0]]))
 
@@ -48,3 +49,16 @@ def test_a_positive_number_comes_back_as_float():
     value = require_positive("num", 3)
     assert value == 3.0
     assert isinstance(value, float)
+
+
+@dataclass(frozen=True)
+class Ranges:
+    length: tuple[float, float] = (0.1, 0.2)
+    count: tuple[int, int] = (3, 3)
+
+
+def test_ranges_may_be_a_single_number_but_not_empty():
+    require_ranges(Ranges())
+    for bad in ((0.2, 0.1), (math.nan, 0.2), (0.1, math.nan)):
+        with pytest.raises(ValueError, match=r"Ranges\.length is \(.*\); expected low <= high\."):
+            require_ranges(Ranges(length=bad))

@@ -8,20 +8,20 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from ppt_rl.functional.contact import WallContact, is_touching, wall_contact
+from ppt_rl.functional.contact import WallContact, WallTouch, is_touching, wall_contact
 from tests.sampling import normal
 
 F64 = torch.float64
 TIGHT: dict[str, Any] = {"rtol": 0.0, "atol": 1e-10}
 SLOW = 0.01
 BATCH = 30
-WAY = 2.0 * normal(BATCH, 1)  # angle of the wall's tangent
+ANGLE = 2.0 * normal(BATCH, 1)  # angle of the wall's tangent
 each_side = pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 each_friction = pytest.mark.parametrize("friction", [0.05, 0.25, 0.6])
 
 
 def turned(vector: Tensor, angle: Tensor | float) -> Tensor:
-    """Vectors on the map, turned to the left; a third number stays."""
+    """Vectors rotated counter-clockwise on the map; a third component does not change."""
     angle = torch.as_tensor(angle, dtype=vector.dtype).expand_as(vector[..., :1])
     cos, sin = angle.cos(), angle.sin()
     x, y = vector[..., :1], vector[..., 1:2]
@@ -29,22 +29,22 @@ def turned(vector: Tensor, angle: Tensor | float) -> Tensor:
 
 
 def along() -> Tensor:
-    return torch.cat([WAY.cos(), WAY.sin()], -1)
+    return torch.cat([ANGLE.cos(), ANGLE.sin()], -1)
 
 
 def across(side: float) -> Tensor:
-    """Normals into the wall, on the left of the tangent or on its right."""
+    """Normals into the wall, which is to the left (+1) or to the right (-1) of the tangent."""
     return turned(along(), side * math.pi / 2)
 
 
 def slid(side: float, friction: float, press: float = 3.0, floor: float = 0.0, moving: float = 1.0) -> Tensor:
-    """Force of a tool that goes or strives along a wall with Coulomb friction, pressed on wall and floor."""
+    """Force of a tool that slides or pushes along a wall with Coulomb friction, pressed on wall and floor."""
     on_map = press * across(side) + friction * (press + moving * floor) * along()
     return torch.cat([on_map, torch.full((BATCH, 1), -floor, dtype=F64)], -1)
 
 
 def drawn(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
-    """Forces, velocities and headings of no pattern."""
+    """Random forces, velocities and headings."""
     return 3.0 * normal(200, 3, seed=seed), 0.03 * normal(200, 2, seed=seed + 1), 2.0 * normal(200, 1, seed=seed + 2)
 
 
@@ -88,7 +88,7 @@ def test_a_force_that_chatters_between_the_thresholds_neither_begins_nor_ends_co
     assert seen == [False] * 60 + [True] * 61 + [False] * 61
 
 
-def test_rows_of_a_batch_have_their_own_contact() -> None:
+def test_every_row_of_a_batch_has_its_own_contact() -> None:
     before = torch.tensor([[True], [False], [True], [False]])
     force = torch.tensor([[0.7], [0.7], [0.1], [2.0]], dtype=F64)
     assert is_touching(before, force, on=1.0, off=0.5).flatten().tolist() == [True, False, False, True]
@@ -103,16 +103,16 @@ def test_rows_of_a_batch_have_their_own_contact() -> None:
 def test_a_tool_that_slides_along_a_wall_feels_its_tangent_and_normal(
     side: float, friction: float, speed: float
 ) -> None:
-    wall = felt(slid(side, friction), speed * along(), WAY, friction)
+    wall = felt(slid(side, friction), speed * along(), ANGLE, friction)
     assert_close(wall.tangent, along(), **TIGHT)
     assert_close(wall.normal, across(side), **TIGHT)
 
 
 @each_side
 @each_friction
-def test_the_friction_of_the_floor_is_taken_off_where_the_tool_slides(side: float, friction: float) -> None:
+def test_the_floors_friction_is_subtracted_where_the_tool_slides(side: float, friction: float) -> None:
     velocity = 1e3 * SLOW * along()
-    wall = felt(slid(side, friction, floor=4.0), velocity, WAY, friction)
+    wall = felt(slid(side, friction, floor=4.0), velocity, ANGLE, friction)
     assert_close(wall.force, slid(side, friction)[:, :2], rtol=0.0, atol=4e-3)
     assert_close(wall.tangent, along(), rtol=0.0, atol=1e-5)
     assert_close(wall.normal, across(side), rtol=0.0, atol=1e-5)
@@ -120,10 +120,10 @@ def test_the_friction_of_the_floor_is_taken_off_where_the_tool_slides(side: floa
 
 @each_side
 @pytest.mark.parametrize("off", [-0.6, 0.0, 0.6])
-def test_at_the_speed_of_the_task_tangent_and_normal_are_right_in_spite_of_the_floor_and_a_heading_off(
+def test_at_the_tasks_speed_tangent_and_normal_are_right_despite_the_floor_and_a_wrong_heading(
     side: float, off: float
 ) -> None:
-    wall = felt(slid(side, 0.25, floor=2.0), 0.06 * along(), WAY + off)
+    wall = felt(slid(side, 0.25, floor=2.0), 0.06 * along(), ANGLE + off)
     assert angle_between(wall.tangent, along()).max() < 0.02
     assert angle_between(wall.normal, across(side)).max() < 0.02
 
@@ -131,11 +131,11 @@ def test_at_the_speed_of_the_task_tangent_and_normal_are_right_in_spite_of_the_f
 @each_side
 @each_friction
 @pytest.mark.parametrize("off", [-0.8, 0.0, 0.9])
-def test_a_tool_that_is_held_up_finds_the_tangent_from_the_force_where_the_friction_is_known(
+def test_a_stuck_tool_finds_the_tangent_from_the_force_if_the_friction_is_known(
     side: float, friction: float, off: float
 ) -> None:
     still = torch.zeros(BATCH, 2, dtype=F64)
-    wall = felt(slid(side, friction), still, WAY + side * off, friction)
+    wall = felt(slid(side, friction), still, ANGLE + side * off, friction)
     assert_close(wall.tangent, along(), **TIGHT)
     assert_close(wall.normal, across(side), **TIGHT)
 
@@ -143,17 +143,17 @@ def test_a_tool_that_is_held_up_finds_the_tangent_from_the_force_where_the_frict
 @each_side
 @each_friction
 @pytest.mark.parametrize("estimate", [0.01, 0.25, 0.5])
-def test_a_wrong_estimate_of_the_friction_turns_the_tangent_by_the_difference_of_the_friction_angles(
+def test_a_wrong_friction_estimate_rotates_the_tangent_by_the_difference_of_the_friction_angles(
     side: float, friction: float, estimate: float
 ) -> None:
-    wall = felt(slid(side, friction), torch.zeros(BATCH, 2, dtype=F64), WAY, estimate)
+    wall = felt(slid(side, friction), torch.zeros(BATCH, 2, dtype=F64), ANGLE, estimate)
     off = abs(math.atan(friction) - math.atan(estimate))
     assert_close(angle_between(wall.tangent, along()), torch.full((BATCH,), off, dtype=F64), rtol=0.0, atol=1e-7)
     assert off <= math.atan(max(friction, estimate))
 
 
 def test_a_velocity_against_the_heading_does_not_count() -> None:
-    wall = felt(slid(1.0, 0.25), -0.06 * along(), WAY)
+    wall = felt(slid(1.0, 0.25), -0.06 * along(), ANGLE)
     assert_close(wall.tangent, along(), **TIGHT)
 
 
@@ -161,14 +161,14 @@ def test_a_velocity_against_the_heading_does_not_count() -> None:
 
 
 @pytest.mark.parametrize("angle", [-2.0, 0.3, math.pi])
-def test_a_turn_of_the_world_turns_what_is_felt(angle: float) -> None:
+def test_rotating_the_world_rotates_the_result(angle: float) -> None:
     force, velocity, heading = drawn()
     here, there = felt(force, velocity, heading), felt(turned(force, angle), turned(velocity, angle), heading + angle)
     for one, other in zip(here, there, strict=True):
         assert_close(other, turned(one, angle), **TIGHT)
 
 
-def test_a_mirrored_world_is_felt_mirrored() -> None:
+def test_mirroring_the_world_mirrors_the_result() -> None:
     force, velocity, heading = drawn()
     mirror = torch.tensor((1.0, -1.0, 1.0), dtype=F64)
     here, there = felt(force, velocity, heading), felt(force * mirror, velocity * mirror[:2], -heading)
@@ -198,8 +198,8 @@ def test_the_wall_is_on_the_side_of_the_heading_that_the_force_is_on() -> None:
 # -- no wall -----------------------------------------------------------------------------------------------------------
 
 
-def test_without_any_force_the_tangent_is_the_motions_direction_or_the_heading_where_the_tool_stands() -> None:
-    none, heading = torch.zeros(BATCH, 3, dtype=F64), WAY + 0.5
+def test_without_force_the_tangent_is_the_direction_of_motion_or_the_heading_of_a_tool_at_rest() -> None:
+    none, heading = torch.zeros(BATCH, 3, dtype=F64), ANGLE + 0.5
     ahead = torch.cat([heading.cos(), heading.sin()], -1)
     standing = felt(none, torch.zeros(BATCH, 2, dtype=F64), heading)
     moving = felt(none, 1e4 * SLOW * along(), heading)
@@ -211,9 +211,23 @@ def test_without_any_force_the_tangent_is_the_motions_direction_or_the_heading_w
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 @pytest.mark.parametrize("force", [0.0, 1e-12, 1e-7, 1e6])
 @pytest.mark.parametrize("speed", [0.0, 1e-20, 1e-7, 1e3])
-def test_nothing_is_nan_or_infinite_for_forces_and_speeds_of_any_size(
-    dtype: torch.dtype, force: float, speed: float
-) -> None:
-    direction, way, heading = drawn()
-    for value in felt((force * direction).to(dtype), (speed * way).to(dtype), heading.to(dtype)):
+def test_the_result_is_finite_for_forces_and_speeds_of_any_size(dtype: torch.dtype, force: float, speed: float) -> None:
+    direction, motion, heading = drawn()
+    for value in felt((force * direction).to(dtype), (speed * motion).to(dtype), heading.to(dtype)):
         assert value.isfinite().all()
+
+
+# -- numbers out of range ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["friction", "slow"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
+def test_friction_and_speed_that_are_not_positive_are_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=rf"{name} is {value}; expected a finite number above 0"):
+        WallTouch(**{name: value})
+
+
+@pytest.mark.parametrize(("on", "off"), [(0.4, 0.5), (1.0, 0.0), (1.0, -0.1), (math.nan, 0.5)])
+def test_contact_that_begins_below_the_force_where_it_ends_is_refused(on: float, off: float) -> None:
+    with pytest.raises(ValueError, match=r"on and off are .* N; expected on >= off > 0"):
+        WallTouch(on=on, off=off)

@@ -34,7 +34,7 @@ def step(p: float, energy: float, dtype: torch.dtype, *, p_max: float = 2.0, e_m
     )
 
 
-# Powers and levels from zero over the smallest subnormal to the largest finite number of the precision.
+# Powers and levels from zero and the smallest subnormal to the largest finite number of the precision.
 POWERS = {
     F32: st.floats(-45.0, 38.0).map(lambda e: 10.0**e) | st.floats(0.0, rounded(3.4e38, F32), width=32),
     F64: st.floats(-323.0, 308.0).map(lambda e: 10.0**e) | st.floats(0.0, 1.7e308),
@@ -48,7 +48,7 @@ DT = st.floats(-4.0, 1.0).map(lambda e: 10.0**e)
 @each_dtype
 @LAWS
 @given(data=st.data(), fullness=LEVELS, p_max=P_MAX, e_max=E_MAX, dt=DT)
-def test_valve_power_and_level_keep_their_limits_exactly(dtype, data, fullness, p_max, e_max, dt):
+def test_valve_power_and_level_stay_within_their_limits_exactly(dtype, data, fullness, p_max, e_max, dt):
     p = rounded(data.draw(POWERS[dtype]), dtype)
     e_max = rounded(e_max, dtype)
     energy = rounded(fullness * e_max, dtype)
@@ -146,12 +146,12 @@ def test_a_fuller_tank_never_closes_the_valve(dtype, data, less, energy):
 @each_dtype
 @LAWS
 @given(energy=st.floats(0.0, 3.0))
-def test_zero_power_leaves_the_level_exactly(dtype, energy):
+def test_zero_power_leaves_the_level_exactly_as_it_is(dtype, energy):
     assert step(0.0, energy, dtype).energy.item() == rounded(energy, dtype)
 
 
 @each_dtype
-def test_an_empty_tank_stays_empty_and_shut(dtype):
+def test_an_empty_tank_stays_empty_with_its_valve_closed(dtype):
     out = step(5.0, 0.0, dtype)
     assert (out.valve.item(), out.energy.item(), out.power.item()) == (0.0, 0.0, 0.0)
 
@@ -179,7 +179,7 @@ def test_valve_and_level_equal_the_papers_formula_within_a_few_ulps(dtype, expon
 
 
 @each_dtype
-def test_a_worked_number_limited_by_power(dtype):
+def test_a_worked_example_limited_by_power(dtype):
     out = energy_tank(
         torch.tensor([10.0, 0.0, -5.0], dtype=dtype),
         torch.tensor([0.5, 3.0, 0.2], dtype=dtype),
@@ -193,7 +193,7 @@ def test_a_worked_number_limited_by_power(dtype):
 
 
 @each_dtype
-def test_a_worked_number_limited_by_energy(dtype):
+def test_a_worked_example_limited_by_energy(dtype):
     out = step(4.0, 0.01, dtype, p_max=10.0)
     assert_close(out.valve, column(0.25, dtype), rtol=1e-6, atol=0.0)
     assert_close(out.power, column(1.0, dtype), rtol=1e-6, atol=0.0)

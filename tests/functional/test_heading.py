@@ -20,14 +20,14 @@ each_size = pytest.mark.parametrize("size", [3, 6])
 
 
 def about_z(angle: Tensor) -> Tensor:
-    """Rotation matrices ``(*B, 3, 3)`` about the z axis, of angles ``(*B, 1)``."""
+    """Rotation matrices ``(*B, 3, 3)`` about the z axis by angles ``(*B, 1)``."""
     cos, sin, zero = angle[..., 0].cos(), angle[..., 0].sin(), torch.zeros_like(angle[..., 0])
     rows = [(cos, -sin, zero), (sin, cos, zero), (zero, zero, zero + 1)]
     return torch.stack([torch.stack(row, -1) for row in rows], -2)
 
 
 def turned(vector: Tensor, angle: Tensor) -> Tensor:
-    """Vectors ``(*B, 2)`` on the map, turned to the left."""
+    """Vectors ``(*B, 2)`` on the map, rotated counter-clockwise."""
     return (about_z(angle)[..., :2, :2] @ vector.unsqueeze(-1)).squeeze(-1)
 
 
@@ -36,7 +36,7 @@ def pointing(angle: Tensor) -> Tensor:
 
 
 def followed(heading: Tensor, velocity: Tensor, steps: int = 1, wall: Tensor | None = None, **law: Any) -> Tensor:
-    """Heading after steps at one velocity, along a wall's tangent if there is one."""
+    """Heading after some steps at a constant velocity, along the tangent of a wall if one is given."""
     tangent = torch.zeros_like(velocity) if wall is None else wall
     touching = torch.full_like(heading, wall is not None, dtype=torch.bool)
     for _ in range(steps):
@@ -44,7 +44,7 @@ def followed(heading: Tensor, velocity: Tensor, steps: int = 1, wall: Tensor | N
     return heading
 
 
-def assert_same_way(one: Tensor, other: Tensor, atol: float = 1e-12) -> None:
+def assert_same_direction(one: Tensor, other: Tensor, atol: float = 1e-12) -> None:
     assert_close(pointing(one), pointing(other), rtol=0.0, atol=atol)
 
 
@@ -59,7 +59,7 @@ def test_to_heading_and_from_heading_are_inverse_to_each_other(size: int) -> Non
 
 
 @each_size
-def test_both_turns_keep_the_norm_and_the_height_of_each_half(size: int) -> None:
+def test_both_rotations_keep_the_norm_and_the_height_of_each_half(size: int) -> None:
     vector = normal(40, size, seed=1)
     for turn in (to_heading, from_heading):
         before, after = vector.unflatten(-1, (-1, 3)), turn(vector, ANGLE).unflatten(-1, (-1, 3))
@@ -75,7 +75,7 @@ def test_from_heading_is_the_rotation_matrix_about_z_on_each_half_and_to_heading
     assert_close(to_heading(vector, ANGLE), torch.einsum("bji,bhj->bhi", matrix, halves).flatten(-2), **TIGHT)
 
 
-def test_the_way_that_the_heading_points_is_ahead_and_what_is_left_of_it_is_left() -> None:
+def test_the_direction_of_the_heading_becomes_x_and_its_left_becomes_y() -> None:
     zero = torch.zeros_like(ANGLE)
     ahead = torch.cat([pointing(ANGLE), zero], -1)
     left = torch.cat([pointing(ANGLE + math.pi / 2), zero], -1)
@@ -85,7 +85,7 @@ def test_the_way_that_the_heading_points_is_ahead_and_what_is_left_of_it_is_left
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
-def test_the_precision_of_the_input_is_that_of_the_output(dtype: torch.dtype) -> None:
+def test_the_output_has_the_precision_of_the_input(dtype: torch.dtype) -> None:
     angle, velocity = ANGLE.to(dtype), normal(40, 2).to(dtype)
     assert to_heading(normal(40, 3).to(dtype), angle).dtype == dtype
     assert from_heading(normal(40, 6).to(dtype), angle).dtype == dtype
@@ -94,7 +94,7 @@ def test_the_precision_of_the_input_is_that_of_the_output(dtype: torch.dtype) ->
 
 @pytest.mark.parametrize("size", [1, 2, 4, 5, 7])
 @pytest.mark.parametrize("turn", [to_heading, from_heading])
-def test_a_vector_of_neither_three_nor_six_numbers_is_refused_with_its_shape(turn: Callable, size: int) -> None:
+def test_a_vector_with_neither_three_nor_six_components_is_refused_with_its_shape(turn: Callable, size: int) -> None:
     with pytest.raises(ValueError, match=rf"vector has shape \(40, {size}\); expected \(\*batch, 3\) or"):
         turn(normal(40, size), ANGLE)
 
@@ -102,61 +102,61 @@ def test_a_vector_of_neither_three_nor_six_numbers_is_refused_with_its_shape(tur
 # -- the law -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_tool_that_stands_still_and_touches_nothing_keeps_its_heading() -> None:
-    assert_same_way(followed(ANGLE, torch.zeros(40, 2, dtype=F64), steps=50), ANGLE)
+def test_a_tool_at_rest_without_contact_keeps_its_heading() -> None:
+    assert_same_direction(followed(ANGLE, torch.zeros(40, 2, dtype=F64), steps=50), ANGLE)
 
 
-def test_a_tool_that_slides_straight_on_keeps_its_heading_with_and_without_a_wall_along_its_way() -> None:
+def test_a_tool_that_slides_straight_ahead_keeps_its_heading_with_and_without_a_wall() -> None:
     velocity = 0.05 * pointing(ANGLE)
-    assert_same_way(followed(ANGLE, velocity, steps=50), ANGLE)
-    assert_same_way(followed(ANGLE, velocity, steps=50, wall=pointing(ANGLE)), ANGLE)
+    assert_same_direction(followed(ANGLE, velocity, steps=50), ANGLE)
+    assert_same_direction(followed(ANGLE, velocity, steps=50, wall=pointing(ANGLE)), ANGLE)
 
 
-def test_motion_backward_does_not_turn_the_heading() -> None:
+def test_backward_motion_does_not_turn_the_heading() -> None:
     off = math.pi / 2 + 0.01 + (math.pi - 0.02) * torch.rand(40, 1, dtype=F64)
-    assert_same_way(followed(ANGLE, 0.1 * pointing(ANGLE + off), steps=20), ANGLE)
+    assert_same_direction(followed(ANGLE, 0.1 * pointing(ANGLE + off), steps=20), ANGLE)
 
 
 @pytest.mark.parametrize("steps", [1, 20, 200])
 def test_the_tangent_of_the_angle_to_the_motion_decays_exponentially_with_the_distance_travelled(steps: int) -> None:
     start, speed, dt = torch.linspace(-1.4, 1.4, 14, dtype=F64).unsqueeze(-1), 0.05, 0.001
-    way = torch.full_like(start, 0.3)
-    reached = followed(way + start, speed * pointing(way), steps=steps, dt=dt) - way
+    motion = torch.full_like(start, 0.3)
+    reached = followed(motion + start, speed * pointing(motion), steps=steps, dt=dt) - motion
     travelled = speed * dt * steps
     assert_close(reached.tan() / start.tan(), torch.full_like(start, math.exp(-travelled / 0.02)), rtol=2e-2, atol=1e-3)
 
 
-def test_the_heading_is_that_of_the_motion_after_many_distances() -> None:
-    way = 1.4 * torch.rand(40, 1, dtype=F64)
-    assert_same_way(followed(ANGLE, 0.5 * pointing(ANGLE + way), steps=100), ANGLE + way, atol=1e-6)
+def test_after_many_distances_the_heading_is_the_direction_of_motion() -> None:
+    turn = 1.4 * torch.rand(40, 1, dtype=F64)
+    assert_same_direction(followed(ANGLE, 0.5 * pointing(ANGLE + turn), steps=100), ANGLE + turn, atol=1e-6)
 
 
-def test_half_the_speed_for_twice_as_long_turns_the_heading_as_far() -> None:
-    way, off = ANGLE, 0.8
-    fast = followed(ANGLE + off, 0.04 * pointing(way), steps=50)
-    slow = followed(ANGLE + off, 0.02 * pointing(way), steps=100)
+def test_half_the_speed_for_twice_the_time_turns_the_heading_equally() -> None:
+    motion, off = ANGLE, 0.8
+    fast = followed(ANGLE + off, 0.04 * pointing(motion), steps=50)
+    slow = followed(ANGLE + off, 0.02 * pointing(motion), steps=100)
     assert_close(pointing(slow), pointing(fast), rtol=0.0, atol=5e-3)
     assert (pointing(fast) - pointing(ANGLE + off)).norm(dim=-1).min() > 0.3
-    longer = followed(ANGLE + off, 0.02 * pointing(way), steps=50, dt=2 * LAW["dt"])
-    assert_same_way(longer, fast)
+    longer = followed(ANGLE + off, 0.02 * pointing(motion), steps=50, dt=2 * LAW["dt"])
+    assert_same_direction(longer, fast)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_turn_of_the_world_turns_the_heading_with_it(seed: int) -> None:
+def test_rotating_the_world_rotates_the_heading(seed: int) -> None:
     velocity, tangent = 0.03 * normal(40, 2, seed=seed), pointing(normal(40, 1, seed=seed + 7))
     touching, angle = normal(40, 1, seed=seed + 3) > 0, 3.0 * normal(40, 1, seed=seed + 5)
     here = follow_heading(ANGLE, velocity, tangent, touching, **LAW)
     there = follow_heading(ANGLE + angle, turned(velocity, angle), turned(tangent, angle), touching, **LAW)
-    assert_same_way(there, here + angle)
+    assert_same_direction(there, here + angle)
 
 
-def test_what_is_mirrored_turns_the_other_way() -> None:
+def test_mirroring_the_world_mirrors_the_heading() -> None:
     velocity, tangent, mirror = 0.03 * normal(40, 2), pointing(normal(40, 1)), torch.tensor((1.0, -1.0), dtype=F64)
     here = followed(ANGLE, velocity, wall=tangent)
-    assert_same_way(followed(-ANGLE, velocity * mirror, wall=tangent * mirror), -here)
+    assert_same_direction(followed(-ANGLE, velocity * mirror, wall=tangent * mirror), -here)
 
 
-def test_a_tool_that_is_held_up_turns_along_the_wall_within_the_patience() -> None:
+def test_a_stuck_tool_turns_along_the_wall_within_the_patience() -> None:
     start = torch.linspace(-2.5, 2.5, 15, dtype=F64).unsqueeze(-1)
     still, along = torch.zeros(15, 2, dtype=F64), torch.full_like(start, 0.4)
     for time in (0.1, 0.3, 1.2):
@@ -165,24 +165,24 @@ def test_a_tool_that_is_held_up_turns_along_the_wall_within_the_patience() -> No
         assert_close(reached, expected, rtol=0.0, atol=1e-2)
 
 
-def test_the_wall_turns_the_heading_only_where_it_is_touched() -> None:
+def test_a_wall_turns_the_heading_only_where_it_is_touched() -> None:
     still, tangent = torch.zeros(40, 2, dtype=F64), pointing(ANGLE + 1.0)
     touching = torch.arange(40).unsqueeze(-1) % 2 == 0
     reached = follow_heading(ANGLE, still, tangent, touching, **LAW)
     moved = (pointing(reached) - pointing(ANGLE)).norm(dim=-1, keepdim=True) > 1e-3
     assert torch.equal(moved, touching)
-    assert_same_way(reached[1::2], ANGLE[1::2])
+    assert_same_direction(reached[1::2], ANGLE[1::2])
 
 
 def test_the_faster_the_tool_slides_the_less_the_wall_turns_it() -> None:
     speeds = torch.tensor([[0.0], [0.01], [0.05], [0.5]], dtype=F64)
     ahead = torch.zeros(4, 1, dtype=F64)
-    reached = followed(ahead, -speeds * pointing(ahead), wall=pointing(ahead + 1.0))  # backward: the wall alone turns
+    reached = followed(ahead, -speeds * pointing(ahead), wall=pointing(ahead + 1.0))  # backward: only the wall turns it
     assert (reached.diff(dim=0) < 0).all()
     assert reached[1] / reached[0] == pytest.approx(0.5, rel=0.02)
     assert reached[3] < 1e-3 * reached[0]
 
 
-def test_headings_lie_within_half_a_turn_to_either_side() -> None:
+def test_headings_lie_between_minus_pi_and_pi() -> None:
     reached = followed(10.0 * ANGLE, 0.05 * normal(40, 2))
     assert (reached.abs() <= math.pi).all()

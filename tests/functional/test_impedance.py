@@ -116,7 +116,7 @@ def test_the_angular_part_is_spring_on_the_orientation_error_plus_damper():
     assert_close(wrench[:, 3:], spring + damping[:, 3:] * (reference_twist - twist)[:, 3:], **TIGHT)
 
 
-def test_a_worked_wrench():
+def test_a_worked_example_of_a_wrench():
     quarter = [math.cos(math.pi / 4), 0.0, 0.0, math.sin(math.pi / 4)]
     wrench = cartesian_impedance(
         torch.tensor([0.4, 0.0, 0.1, *quarter], dtype=F64),
@@ -148,7 +148,7 @@ def test_nullspace_torque_does_not_accelerate_the_end_effector_away_from_singula
     projected = nullspace_torque(jacobian, torque, INERTIA, damping)
     acceleration = ((jacobian / INERTIA) @ projected.unsqueeze(-1)).squeeze(-1)
     unprojected = ((jacobian / INERTIA) @ torque.unsqueeze(-1)).squeeze(-1)
-    # What the damping mu leaves is mu^2 / (lambda_min + mu^2) of the acceleration, at most 1e-8 here.
+    # The damping mu leaves mu^2 / (lambda_min + mu^2) of the acceleration, at most 1e-8 here.
     assert bool((acceleration.norm(dim=-1) <= 1.1e-8 * unprojected.norm(dim=-1)).all())
     assert bool((projected.norm(dim=-1) > 1e-3).all())
 

@@ -12,32 +12,35 @@ from ppt_rl.functional.metrics import MEMORY_SIZE, METRICS
 from tests.sampling import normal
 
 F64 = torch.float64
-CONFIG = MetricsConfig(dt=0.01, p_max=2.0, contact_force=0.05, cutoff=10.0)
-B, A = signal.butter(2, CONFIG.cutoff, fs=1 / CONFIG.dt)
+DT = 0.01
+CONFIG = MetricsConfig(p_max=2.0, contact_force=0.05, cutoff=10.0)
+B, A = signal.butter(2, CONFIG.cutoff, fs=1 / DT)
 #: Half of a logarithmic bin: 256 bins over four decades.
 HALF_BIN = 10 ** (0.5 * 4 / 256) - 1
 
 
 def along_x(values: Tensor) -> Tensor:
-    """Six columns, the first of which holds ``values``."""
+    """Six columns: ``values``, and five of zeros."""
     return torch.nn.functional.pad(values.unsqueeze(-1), (0, 5))
 
 
-def run(twist: Tensor, wrench: Tensor, power: Tensor | None = None, config: MetricsConfig = CONFIG) -> Tensor:
+def run(
+    twist: Tensor, wrench: Tensor, power: Tensor | None = None, config: MetricsConfig = CONFIG, dt: float = DT
+) -> Tensor:
     """Memory of an episode; time is the first dimension."""
     power = torch.zeros(*twist.shape[:-1], 1, dtype=twist.dtype) if power is None else power
-    memory = begin_metrics(twist[0], wrench[0], config)
+    memory = begin_metrics(twist[0], wrench[0], config, dt=dt)
     for v, f, p in zip(twist, wrench, power, strict=True):
-        memory = update_metrics(memory, v, f, p, config)
+        memory = update_metrics(memory, v, f, p, config, dt=dt)
     return memory
 
 
-def measure(twist: Tensor, wrench: Tensor, power: Tensor | None = None, config: MetricsConfig = CONFIG):
-    return summarise_metrics(run(twist, wrench, power, config))
+def measure(twist: Tensor, wrench: Tensor, power: Tensor | None = None, **kwargs):
+    return summarise_metrics(run(twist, wrench, power, **kwargs))
 
 
 def filtered(x: np.ndarray) -> np.ndarray:
-    """SciPy's low-pass, at rest at the first sample."""
+    """SciPy's low-pass filter, in its steady state at the first sample."""
     return signal.lfilter(B, A, x, axis=0, zi=signal.lfilter_zi(B, A)[:, None] * x[:1])[0]
 
 
@@ -50,10 +53,10 @@ def test_jerk_equals_that_of_scipys_filtered_velocity_after_every_step():
     twist = normal(60, 6)
     velocity = filtered(twist[:, :3].numpy())
     padded = np.concatenate([twist[:1, :3], twist[:1, :3], velocity])
-    jerk = np.diff(padded, 2, axis=0) / CONFIG.dt**2
-    memory = begin_metrics(twist[0], torch.zeros(6, dtype=F64), CONFIG)
+    jerk = np.diff(padded, 2, axis=0) / DT**2
+    memory = begin_metrics(twist[0], torch.zeros(6, dtype=F64), CONFIG, dt=DT)
     for i, v in enumerate(twist, start=1):
-        memory = update_metrics(memory, v, torch.zeros(6, dtype=F64), torch.zeros(1, dtype=F64), CONFIG)
+        memory = update_metrics(memory, v, torch.zeros(6, dtype=F64), torch.zeros(1, dtype=F64), CONFIG, dt=DT)
         expected = math.sqrt((jerk[:i] ** 2).sum(-1).mean())
         assert summarise_metrics(memory)["jerk_rms"].item() == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
@@ -61,21 +64,21 @@ def test_jerk_equals_that_of_scipys_filtered_velocity_after_every_step():
 @pytest.mark.parametrize("frequency", [1.0, 5.0, 20.0])
 def test_jerk_of_a_sinusoid_is_its_amplitude_times_the_gains_of_filter_and_difference(frequency):
     amplitude, settle, steps = 0.2, 200, 400
-    t = torch.arange(settle + steps, dtype=F64) * CONFIG.dt
+    t = torch.arange(settle + steps, dtype=F64) * DT
     twist = along_x(amplitude * torch.sin(2 * math.pi * frequency * t))
     wrench = torch.zeros_like(twist)
     before, after = measure(twist[:settle], wrench[:settle]), measure(twist, wrench)
     # Mean square over the last steps, whole periods, when the filter has settled.
     square = (after["jerk_rms"] ** 2 * (settle + steps) - before["jerk_rms"] ** 2 * settle) / steps
-    omega = 2 * math.pi * frequency * CONFIG.dt
+    omega = 2 * math.pi * frequency * DT
     gain = abs(signal.freqz(B, A, worN=[omega])[1][0])
-    difference = (2 - 2 * math.cos(omega)) / CONFIG.dt**2
+    difference = (2 - 2 * math.cos(omega)) / DT**2
     assert square.sqrt().item() == pytest.approx(amplitude * gain * difference / math.sqrt(2), rel=1e-6)
 
 
 def test_jerk_of_a_slow_sinusoid_is_its_second_derivative():
     amplitude, frequency, steps = 0.2, 0.5, 800
-    t = torch.arange(steps, dtype=F64) * CONFIG.dt
+    t = torch.arange(steps, dtype=F64) * DT
     twist = along_x(-amplitude * torch.cos(2 * math.pi * frequency * t))  # starts at rest
     expected = amplitude * (2 * math.pi * frequency) ** 2 / math.sqrt(2)
     assert measure(twist, torch.zeros_like(twist))["jerk_rms"].item() == pytest.approx(expected, rel=0.02)
@@ -129,15 +132,15 @@ def test_max_power_is_commanded_and_max_power_measured_is_that_of_wrench_and_twi
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.002])
-def test_work_is_the_size_of_the_commanded_power_summed_over_time(dt):
+def test_work_is_the_absolute_commanded_power_summed_over_time(dt):
     power = torch.tensor([0.5, -4.0, 3.0, 0.0], dtype=F64).repeat(10).unsqueeze(-1)
     still = torch.zeros(40, 6, dtype=F64)
-    out = measure(still, still, power, MetricsConfig(dt=dt))
+    out = measure(still, still, power, dt=dt)
     assert out["work"].item() == pytest.approx(10 * (0.5 + 4.0 + 3.0) * dt)
 
 
-def test_braking_is_work_so_a_sinusoidal_power_does_the_work_of_its_size():
-    t = torch.arange(1000, dtype=F64) * CONFIG.dt  # ten periods in ten seconds
+def test_braking_is_work_so_a_sinusoidal_power_does_the_work_of_its_absolute_value():
+    t = torch.arange(1000, dtype=F64) * DT  # ten periods in ten seconds
     power = (1.5 * torch.sin(2 * math.pi * t)).unsqueeze(-1)
     still = torch.zeros(1000, 6, dtype=F64)
     assert measure(still, still, power)["work"].item() == pytest.approx(10 * 1.5 * 2 / math.pi, rel=1e-3)
@@ -146,10 +149,10 @@ def test_braking_is_work_so_a_sinusoidal_power_does_the_work_of_its_size():
 def test_work_grows_with_every_step_and_is_that_of_the_command_not_of_the_wrist():
     twist, wrench = normal(30, 6), normal(30, 6, seed=1)
     power = normal(30, 1, seed=2)
-    memory = begin_metrics(twist[0], wrench[0], CONFIG)
+    memory = begin_metrics(twist[0], wrench[0], CONFIG, dt=DT)
     for i in range(30):
-        memory = update_metrics(memory, twist[i], wrench[i], power[i], CONFIG)
-        expected = CONFIG.dt * power[: i + 1].abs().sum()
+        memory = update_metrics(memory, twist[i], wrench[i], power[i], CONFIG, dt=DT)
+        expected = DT * power[: i + 1].abs().sum()
         assert summarise_metrics(memory)["work"].item() == pytest.approx(expected.item())
 
 
@@ -159,12 +162,12 @@ def contact(force: list[float]) -> float:
     return measure(torch.zeros_like(wrench), wrench, config=MetricsConfig(cutoff=49.9))["contact_continuity"].item()
 
 
-def test_uninterrupted_contact_has_continuity_one_wherever_it_lies():
+def test_uninterrupted_contact_has_continuity_one_whenever_it_happens():
     assert contact([5.0] * 10) == 1.0
     assert contact([0.0] * 5 + [5.0] * 10) == 1.0
 
 
-def test_contact_that_is_gone_half_of_the_time_between_first_and_last_touch():
+def test_contact_for_half_of_the_time_between_first_and_last_touch_has_continuity_one_half():
     assert contact([0.0] * 3 + ([5.0] * 4 + [0.0] * 8 + [5.0] * 4) + [0.0] * 3) == pytest.approx(0.5)
 
 
@@ -177,8 +180,8 @@ def test_one_touch_has_continuity_one():
     assert contact([0.0, 0.0, 5.0, 0.0, 0.0]) == 1.0
 
 
-def test_every_number_of_the_summary_has_a_place_of_its_own_in_the_memory():
-    # Each quantity is driven alone: then it, and what it also defines, is all that differs from an episode of nothing.
+def test_the_quantities_of_the_summary_do_not_share_memory():
+    # Each input drives its own quantities and no others.
     steps, still = 20, torch.zeros(20, 6, dtype=F64)
     shake, push = along_x(torch.arange(20, dtype=F64) % 2), along_x(torch.full((20,), 3.0, dtype=F64))
     turn = torch.nn.functional.pad(torch.full((steps, 1), 3.0, dtype=F64), (3, 2))  # steady, about an axis
@@ -205,38 +208,40 @@ def test_batched_rows_equal_single_episodes(batch):
         assert value.shape == (*batch, 1)
 
 
-def test_rows_that_begin_later_equal_episodes_of_their_own():
+def test_rows_that_restart_later_equal_separate_episodes():
     twist, wrench, power = normal(40, 2, 6), 3 * normal(40, 2, 6, seed=1), normal(40, 2, 1, seed=2)
-    memory = begin_metrics(twist[0], wrench[0], CONFIG)
+    memory = begin_metrics(twist[0], wrench[0], CONFIG, dt=DT)
     for i in range(40):
         if i == 15:
             restart = torch.tensor([[False], [True]])
-            memory = torch.where(restart, begin_metrics(twist[i], wrench[i], CONFIG), memory)
-        memory = update_metrics(memory, twist[i], wrench[i], power[i], CONFIG)
+            memory = torch.where(restart, begin_metrics(twist[i], wrench[i], CONFIG, dt=DT), memory)
+        memory = update_metrics(memory, twist[i], wrench[i], power[i], CONFIG, dt=DT)
     assert_close(memory[0], run(twist[:, 0], wrench[:, 0], power[:, 0]))
     assert_close(memory[1], run(twist[15:, 1], wrench[15:, 1], power[15:, 1]))
 
 
-def test_update_leaves_the_old_memory_alone():
-    memory = begin_metrics(torch.ones(6), torch.ones(6), CONFIG)
+def test_an_update_does_not_change_the_old_memory():
+    memory = begin_metrics(torch.ones(6), torch.ones(6), CONFIG, dt=DT)
     before = memory.clone()
-    update_metrics(memory, torch.zeros(6), torch.zeros(6), torch.ones(1), CONFIG)
+    update_metrics(memory, torch.zeros(6), torch.zeros(6), torch.ones(1), CONFIG, dt=DT)
     assert torch.equal(memory, before)
 
 
 def test_the_summary_before_any_step_is_zero():
-    summary = summarise_metrics(begin_metrics(torch.ones(6), torch.ones(6), CONFIG))
+    summary = summarise_metrics(begin_metrics(torch.ones(6), torch.ones(6), CONFIG, dt=DT))
     assert tuple(summary) == METRICS
     assert all(value.item() == 0.0 for value in summary.values())
 
 
-@pytest.mark.parametrize("name", ["dt", "p_max", "contact_force", "cutoff"])
+@pytest.mark.parametrize("name", ["p_max", "contact_force", "cutoff"])
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan])
 def test_constants_that_are_not_positive_are_refused(name, bad):
     with pytest.raises(ValueError, match=f"{name} is {bad}; expected a number above 0"):
         MetricsConfig(**{name: bad})
 
 
-def test_a_cutoff_at_half_the_control_rate_is_refused():
-    with pytest.raises(ValueError, match=r"expected below half the control rate, 50\.0 Hz"):
-        MetricsConfig(cutoff=50.0)
+@pytest.mark.parametrize("dt", [0.01, 0.002])
+def test_a_cutoff_at_half_the_control_rate_is_refused(dt):
+    config, still = MetricsConfig(cutoff=0.5 / dt), torch.zeros(6)
+    with pytest.raises(ValueError, match=rf"expected a frequency below half the control rate, {0.5 / dt} Hz"):
+        begin_metrics(still, still, config, dt=dt)

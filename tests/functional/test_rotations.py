@@ -66,7 +66,7 @@ def test_rotating_by_quaternion_equals_rotating_by_its_matrix():
     assert_close(quat_rotate(A, vector), (quat_to_matrix(A) @ vector.unsqueeze(-1)).squeeze(-1), **TIGHT)
 
 
-def test_one_quaternion_rotates_a_batch_of_vectors():
+def test_a_single_quaternion_rotates_a_batch_of_vectors():
     vector = normal(50, 3)
     assert_close(quat_rotate(A[:1], vector), quat_rotate(A[:1].expand(50, 4), vector), **TIGHT)
 
@@ -113,7 +113,7 @@ def test_yaw_from_quat_undoes_quat_from_yaw():
     assert_close(yaw_from_quat(quat_from_yaw(yaw)), yaw, **TIGHT)
 
 
-def test_yaw_ignores_pitch_and_roll_applied_first():
+def test_pitch_and_roll_applied_before_the_yaw_do_not_change_it():
     x, y, _ = torch.eye(3, dtype=torch.float64)
     tilt = quat_multiply(angle_axis(0.4, y), angle_axis(-0.7, x))
     yaw = torch.tensor(1.1, dtype=torch.float64)

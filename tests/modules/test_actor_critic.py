@@ -33,14 +33,14 @@ def test_the_log_probability_is_that_of_independent_normals():
     assert_close(out["action_log_prob"], normals.log_prob(out["action"]).sum(-1))
 
 
-def test_the_action_goes_to_the_key_that_was_asked_for():
+def test_the_action_is_written_to_the_given_key():
     out = make_actor(KEYS, 13, 4, action_key="weights")(observations(5))
     assert out["weights"].shape == (5, 4)
     assert "action" not in out
 
 
 @pytest.mark.parametrize("scale", [0.05, 0.3, 1.0])
-def test_at_the_start_the_mean_is_near_zero_and_the_scale_is_the_initial_one(scale):
+def test_initially_the_mean_is_near_zero_and_the_scale_is_the_given_one(scale):
     torch.manual_seed(0)
     data = observations(1000)
     actor = make_actor(KEYS, 13, 4, initial_scale=scale)
@@ -62,7 +62,7 @@ def test_the_critic_writes_one_value_per_row(batch):
     assert make_critic(KEYS, 13)(observations(*batch))["state_value"].shape == (*batch, 1)
 
 
-def test_hidden_layers_are_those_of_the_paper_with_relu():
+def test_the_hidden_layers_are_the_papers_with_relu():
     assert HIDDEN == (256, 256, 128)
     for module in (make_actor(KEYS, 13, 4), make_critic(KEYS, 13)):
         layers = [m for m in module.modules() if isinstance(m, torch.nn.Linear)]
@@ -98,7 +98,7 @@ def test_input_norm_clips_to_its_limit():
     assert torch.equal(InputNorm(3, limit=2.0)(torch.tensor([-9.0, 0.5, 9.0])), torch.tensor([-2.0, 0.5, 2.0]))
 
 
-def test_a_constant_feature_is_left_out_even_when_it_changes_later():
+def test_a_constant_feature_becomes_zero_even_if_it_changes_later():
     data = torch.randn(100, 2, generator=torch.Generator().manual_seed(0))
     data[:, 1] = 7.0
     norm = InputNorm(2)
@@ -107,7 +107,7 @@ def test_a_constant_feature_is_left_out_even_when_it_changes_later():
 
 
 @pytest.mark.parametrize("sizes", [(1, 999), (300, 700), (10, 20, 970)])
-def test_statistics_taken_in_by_parts_are_those_of_all_the_data(sizes):
+def test_statistics_updated_in_parts_equal_those_of_all_the_data(sizes):
     data = 3.0 + 2.0 * torch.randn(1000, 4, generator=torch.Generator().manual_seed(0))
     parts, whole = InputNorm(4), InputNorm(4)
     for part in data.split(sizes):
@@ -127,7 +127,7 @@ def test_update_flattens_every_batch_dimension():
 
 
 @pytest.mark.parametrize("module", [make_actor(KEYS, 13, 4), make_critic(KEYS, 13)], ids=["actor", "critic"])
-def test_update_input_norm_sets_the_statistics_and_a_checkpoint_carries_them(module):
+def test_update_input_norm_sets_the_statistics_in_the_state_dict(module):
     data = observations(500)
     update_input_norm(module, data)
     x = torch.cat([data["pose"], data["twist"]], -1)
@@ -149,7 +149,7 @@ def test_inputs_are_read_in_the_order_of_the_keys():
     assert_close(swapped(data.clone())["state_value"], critic(data.clone())["state_value"])
 
 
-def test_in_a_mirror_an_actor_does_the_mirrored_action_whatever_its_network_is() -> None:
+def test_a_mirrored_actor_takes_the_mirrored_action_for_a_mirrored_observation() -> None:
     inputs, action = torch.tensor([1.0, -1.0, -1.0, 1.0]), torch.tensor([1.0, -1.0, 1.0])
     torch.manual_seed(0)
     actor = make_actor(["o"], 4, 3, mirror=Mirror(inputs.tolist(), action.tolist()))

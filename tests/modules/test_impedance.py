@@ -17,7 +17,7 @@ def batch(*shape: int) -> list[torch.Tensor]:
     return [random_poses(*shape, seed=1), normal(*shape, 6, seed=2), random_poses(*shape, seed=3), normal(*shape, 6)]
 
 
-def test_the_forward_is_the_law_with_the_modules_gains():
+def test_the_module_applies_the_impedance_law_with_its_gains():
     controller = CartesianImpedanceController([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], damping=7.0).double()
     inputs = batch(5)
     stiffness = torch.arange(1.0, 7.0, dtype=F64)
@@ -46,7 +46,7 @@ def test_damping_is_twice_the_ratio_times_the_root_of_stiffness_and_inertia(rati
     assert_close(controller.damping, torch.tensor(expected), rtol=1e-5, atol=0.0)
 
 
-def test_a_stiffness_passed_to_the_call_brings_its_own_damping():
+def test_a_stiffness_passed_to_the_call_has_its_own_damping():
     inputs, stiffness = batch(5), torch.full((5, 6), 100.0, dtype=F64)
     inertia = torch.tensor(PANDA.apparent_inertia, dtype=F64)
     expected = cartesian_impedance(*inputs, stiffness, 2 * (stiffness * inertia).sqrt())
@@ -103,11 +103,11 @@ def test_learnable_gains_get_gradients_and_stay_positive_under_a_harsh_optimiser
     assert bool((controller.stiffness < 0.9 * torch.tensor(STIFFNESS)).all())
 
 
-def test_gains_that_are_not_learnable_are_no_parameters():
+def test_gains_that_are_not_learnable_are_not_parameters():
     assert not list(CartesianImpedanceController().parameters())
 
 
-def test_gains_travel_with_the_state_dict():
+def test_the_state_dict_contains_the_gains():
     source, target = CartesianImpedanceController(100.0, 0.7), CartesianImpedanceController()
     target.load_state_dict(source.state_dict())
     assert torch.equal(target.stiffness, source.stiffness)
@@ -122,13 +122,13 @@ def test_gains_that_are_not_positive_and_finite_are_refused(name, bad):
 
 
 @pytest.mark.parametrize("name", ["stiffness", "damping_ratio", "damping", "inertia"])
-def test_gains_of_a_wrong_count_are_refused(name):
+def test_the_wrong_number_of_gains_is_refused(name):
     with pytest.raises(ValueError, match=f"{name} has 3 numbers; expected 1 or 6"):
         CartesianImpedanceController(**{name: [1.0, 2.0, 3.0]})
 
 
 @pytest.mark.parametrize("name", ["pose", "twist", "reference_pose", "reference_twist"])
-def test_an_input_of_a_wrong_size_is_named(name):
+def test_the_error_names_an_input_of_the_wrong_size(name):
     inputs, index = batch(2), ["pose", "twist", "reference_pose", "reference_twist"].index(name)
     inputs[index] = inputs[index][:, :-1]
     with pytest.raises(ValueError, match=f"^{name} has shape"):

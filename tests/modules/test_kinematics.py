@@ -68,7 +68,7 @@ def test_a_longer_tool_moves_the_point_along_the_tools_axis(kinematics):
     assert_close(far[:, 3:], near[:, 3:], rtol=0.0, atol=1e-12)
 
 
-def test_the_jacobian_method_gives_the_forwards_jacobian(kinematics):
+def test_the_jacobian_method_equals_the_jacobian_of_forward(kinematics):
     q = random_joint_positions(5)
     assert torch.equal(kinematics.jacobian(q), kinematics(q)[1])
 

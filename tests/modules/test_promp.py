@@ -16,7 +16,7 @@ TIGHT = {"rtol": 0.0, "atol": 1e-12}
 
 
 def via_points(*batch: int, seed: int = 0) -> dict[str, Tensor]:
-    """M via-points with positions and velocities of their own covariance."""
+    """M via-points: positions and velocities, each with its covariance."""
     phase = torch.rand(*batch, M, generator=torch.Generator().manual_seed(seed), dtype=F64)
     return {
         "via_phase": phase,
@@ -30,7 +30,7 @@ def via_points(*batch: int, seed: int = 0) -> dict[str, Tensor]:
 def information_form(
     promp: ProMP, via: dict[str, Tensor], use: list[int], use_velocity: list[int], prior: Gaussian | None = None
 ) -> Gaussian:
-    """The posterior by adding up information, one via-point after the other."""
+    """The posterior in information form, adding one via-point after the other."""
     mean, cov = promp.prior if prior is None else prior
     precision = torch.linalg.inv(cov)
     right = precision @ mean
@@ -65,7 +65,7 @@ def test_constant_weights_give_a_trajectory_at_rest(promp):
 
 
 @pytest.mark.parametrize("batch", [(), (4,), (2, 4)])
-def test_decoding_a_batch_with_own_phases_equals_single_calls(promp, batch):
+def test_decoding_a_batch_with_its_own_phases_equals_single_calls(promp, batch):
     weights, phase = normal(*batch, K, D), torch.rand(*batch, 7, dtype=F64)
     parts = promp.decode(weights, phase)
     rows = [promp.decode(w, p) for w, p in zip(weights.reshape(-1, K, D), phase.reshape(-1, 7), strict=True)]
@@ -74,7 +74,7 @@ def test_decoding_a_batch_with_own_phases_equals_single_calls(promp, batch):
         assert_close(part.reshape(-1, 7, D), torch.stack(singles))
 
 
-def test_the_basis_is_the_law_at_the_modules_centres_and_widths():
+def test_the_basis_uses_the_modules_centres_and_widths():
     centres, widths = torch.tensor([0.0, 0.3, 1.0]), torch.tensor([0.1, 0.2, 0.3])
     phase = torch.rand(5)
     promp = ProMP(3, 1, 1.0, centres=centres, widths=widths)
@@ -99,7 +99,7 @@ def test_the_posterior_under_positions_and_velocities_equals_the_information_for
     assert_close(promp.posterior(**via), expected, rtol=0.0, atol=1e-6)
 
 
-def test_positions_and_velocities_are_masked_apart(promp):
+def test_positions_and_velocities_have_separate_masks(promp):
     via = via_points()
     mask, velocity_mask = torch.tensor([True, False, True, False]), torch.tensor([False, True, True, False])
     expected = information_form(promp, via, use=[0, 2], use_velocity=[1, 2])
@@ -166,7 +166,7 @@ def test_the_posterior_covariance_is_symmetric_psd_and_no_larger_than_the_prior(
     assert torch.linalg.eigvalsh(promp.prior.cov - cov).min().item() > -1e-9
 
 
-def test_a_prior_handed_in_takes_the_place_of_the_own_one_row_by_row(promp):
+def test_a_given_prior_replaces_the_modules_own_row_by_row(promp):
     via = via_points()
     prior = Gaussian(normal(3, SIZE, seed=8), random_cov(3, size=SIZE, seed=9))
     posterior = promp.posterior(**via, prior=prior)
@@ -205,7 +205,7 @@ def test_a_bad_number_in_a_masked_via_point_has_no_effect(promp, field, bad):
     assert_close(promp.posterior(**via, via_mask=mask), expected, rtol=0.0, atol=0.0)
 
 
-def test_no_via_point_slot_at_all_is_refused(promp):
+def test_an_empty_set_of_via_points_is_refused(promp):
     via = {key: value[:, :0] for key, value in via_points(2).items()}
     with pytest.raises(ValueError, match=r"via-points are empty \(M = 0\)"):
         promp.posterior(**via)

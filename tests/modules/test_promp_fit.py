@@ -13,7 +13,7 @@ F64 = torch.float64
 
 
 def fitted_to_samples(promp: ProMP, lengths: list[int], noise: float) -> ProMP:
-    """A ProMP fitted to noisy trajectories that were drawn from another one's prior."""
+    """A ProMP fitted to noisy trajectories drawn from the prior of another one."""
     generator = torch.Generator().manual_seed(0)
     series: list[Tensor] = []
     for length in sorted(set(lengths)):
@@ -33,7 +33,7 @@ def test_fitting_recovers_the_prior_that_the_demonstrations_were_drawn_from(prom
     assert bool(((fitted.cov - cov).abs() <= 5 * spread).all())
 
 
-def test_a_stacked_tensor_and_a_list_of_demonstrations_fit_alike():
+def test_a_stacked_tensor_and_a_list_of_demonstrations_give_the_same_fit():
     data = normal(10, 30, D)
     stacked, listed = ProMP(K, D, DURATION).fit(data), ProMP(K, D, DURATION).fit(list(data))
     assert_close(stacked.state_dict(), listed.state_dict(), rtol=0.0, atol=0.0)
@@ -44,7 +44,7 @@ def test_the_fitted_covariance_can_be_sampled_from_even_for_equal_demonstrations
     assert bool(torch.isfinite(promp.sample(4)).all())
 
 
-def test_state_dict_carries_basis_and_prior_to_another_instance(promp):
+def test_the_state_dict_contains_basis_and_prior(promp):
     target = ProMP(K, D, DURATION, overlap=1.3).double()
     target.load_state_dict(promp.state_dict())
     phase = torch.rand(5, dtype=F64)

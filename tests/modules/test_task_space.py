@@ -33,7 +33,7 @@ def test_project_undoes_pose(axes, origin, batch):
     assert_close(space.project(pose), y, rtol=0.0, atol=1e-6)  # the origin was stored in float32
 
 
-def test_what_is_not_named_stays_at_the_origin():
+def test_coordinates_that_are_not_named_keep_their_origin():
     pose = TaskSpace(("y",), TOOL_DOWN).pose(torch.tensor([[0.3]]))
     assert_close(pose, torch.tensor([[0.4, 0.3, 0.02, 0.0, 1.0, 0.0, 0.0]]))
 
@@ -71,21 +71,21 @@ def test_pose_keeps_the_precision_of_its_input():
 
 @pytest.mark.parametrize("axes", [(), ("x", "x"), ("x", "roll"), ("X",)])
 def test_unknown_duplicate_or_missing_axes_are_refused(axes):
-    with pytest.raises(ValueError, match="expected distinct names out of"):
+    with pytest.raises(ValueError, match="expected one or more distinct names from"):
         TaskSpace(axes, TOOL_DOWN)
 
 
-def test_an_origin_that_is_no_pose_is_refused():
+def test_an_origin_that_is_not_a_pose_is_refused():
     with pytest.raises(ValueError, match="origin has 3 numbers; expected 7"):
         TaskSpace(("x",), (0.0, 0.0, 0.0))
 
 
-def test_coordinates_of_a_wrong_count_are_refused():
+def test_the_wrong_number_of_coordinates_is_refused():
     with pytest.raises(ValueError, match="task-space position has shape"):
         TaskSpace(("x", "y"), TOOL_DOWN).pose(torch.zeros(3))
 
 
-def test_a_difference_goes_the_short_way_round_in_yaw_only():
+def test_only_the_yaw_of_a_difference_is_wrapped():
     space = TaskSpace(("x", "yaw"), (0.4, 0.0, 0.1, 0.0, 1.0, 0.0, 0.0))
     position = torch.tensor([[5.0, 3.1], [0.0, -3.1], [0.0, 0.3], [1.0, 9.0]], dtype=torch.float64)
     other = torch.tensor([[1.0, -3.1], [7.0, 3.1], [0.0, 0.1], [1.0, 0.0]], dtype=torch.float64)

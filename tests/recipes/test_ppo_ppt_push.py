@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import ppo_ppt_push as recipe
 import pytest
 
+from ppt_rl.recipes.ppo_ppt_push import RECIPE, Config
 from ppt_rl.training import CheckpointMismatch, PPOConfig, find_checkpoint
 from ppt_rl.training.logs import read_scalar
 
@@ -20,11 +20,9 @@ BATCH = 4 * 20  # control steps of a batch: environments times steps of an episo
 LOGGED = ("reward", "loss_objective", "loss_critic", "kl", "max_power", "jerk_rms")
 
 
-def tiny(run_dir: Path, **changes: object) -> recipe.Config:
+def tiny(run_dir: Path, **changes: object) -> Config:
     ppo = PPOConfig(total_control_steps=3 * BATCH, epochs=2, minibatches=2, checkpoint_every=1)
-    config = recipe.Config(
-        run_dir=run_dir, num_envs=4, num_threads=1, duration=0.2, physics_dt=0.002, num_basis=4, ppo=ppo
-    )
+    config = Config(run_dir=run_dir, num_envs=4, num_threads=1, duration=0.2, physics_dt=0.002, num_basis=4, ppo=ppo)
     return replace(config, **changes)
 
 
@@ -33,7 +31,7 @@ def scalars(run_dir: Path) -> np.ndarray:
 
 
 def test_training_writes_checkpoints_logs_and_a_config_with_versions(tmp_path):
-    path = recipe.main(tiny(tmp_path))
+    path = RECIPE.train(tiny(tmp_path))
     assert path == find_checkpoint(tmp_path)
     assert read_scalar(tmp_path, "success")[0].tolist() == [BATCH, 2 * BATCH, 3 * BATCH]
     record = json.loads((tmp_path / "config.json").read_text())
@@ -44,22 +42,22 @@ def test_training_writes_checkpoints_logs_and_a_config_with_versions(tmp_path):
 
 def test_the_same_seed_gives_the_same_three_iterations_and_another_seed_others(tmp_path):
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
-        recipe.main(tiny(tmp_path / name, seed=seed))
+        RECIPE.train(tiny(tmp_path / name, seed=seed))
     assert np.array_equal(scalars(tmp_path / "a"), scalars(tmp_path / "b"))
     assert not np.array_equal(scalars(tmp_path / "a"), scalars(tmp_path / "c"))
 
 
 @pytest.mark.parametrize("replan_steps", [5, 7])
 def test_training_replans_within_an_episode(tmp_path, replan_steps):
-    recipe.main(tiny(tmp_path, replan_steps=replan_steps))
+    RECIPE.train(tiny(tmp_path, replan_steps=replan_steps))
     assert np.isfinite(scalars(tmp_path)).all()
     assert read_scalar(tmp_path, "success")[0][0] == BATCH
 
 
 def test_a_run_continues_from_its_checkpoint_to_its_budget(tmp_path):
     config = tiny(tmp_path)
-    recipe.main(replace(config, ppo=replace(config.ppo, total_control_steps=BATCH)))
-    recipe.main(replace(config, resume=True))
+    RECIPE.train(replace(config, ppo=replace(config.ppo, total_control_steps=BATCH)))
+    RECIPE.train(replace(config, resume=True))
     assert read_scalar(tmp_path, "reward")[0].tolist() == [BATCH, 2 * BATCH, 3 * BATCH]
 
 
@@ -107,20 +105,20 @@ def test_interrupting_a_run_leaves_a_checkpoint_and_exits_with_130(tmp_path, roo
 
 
 def test_a_directory_that_holds_a_run_is_refused_unless_resumed(tmp_path):
-    recipe.main(tiny(tmp_path))
+    RECIPE.train(tiny(tmp_path))
     with pytest.raises(CheckpointMismatch, match=r"holds a run already.*--resume"):
-        recipe.main(tiny(tmp_path))
+        RECIPE.train(tiny(tmp_path))
 
 
 def test_resuming_with_another_configuration_names_what_differs(tmp_path):
-    recipe.main(tiny(tmp_path))
+    RECIPE.train(tiny(tmp_path))
     with pytest.raises(CheckpointMismatch, match="other values of p_max"):
-        recipe.main(tiny(tmp_path, resume=True, p_max=1.0))
+        RECIPE.train(tiny(tmp_path, resume=True, p_max=1.0))
 
 
 def test_resuming_without_a_checkpoint_says_what_was_expected(tmp_path):
     with pytest.raises(CheckpointMismatch, match=r"no checkpoint.*expected"):
-        recipe.main(tiny(tmp_path, resume=True))
+        RECIPE.train(tiny(tmp_path, resume=True))
 
 
 def test_a_wrong_option_ends_with_advice_and_no_traceback(tmp_path, root):

@@ -9,18 +9,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import evaluate
 import numpy as np
 import pytest
 import torch
-from registry import RECIPES, Policy, load_policy, recipe_of, restored_config
 from tensordict import TensorDictBase
 from torch import nn
 from torchrl.checkpoint import Checkpoint
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from ppt_rl.evaluation import REPORTED, record_episodes, save_pretrained
+from ppt_rl.evaluation import (
+    COLUMNS,
+    Policy,
+    evaluate,
+    find_recipe,
+    load_policy,
+    record_episodes,
+    save_pretrained,
+    shipped_recipes,
+)
+from ppt_rl.evaluation.drawing import draw_policy
+from ppt_rl.evaluation.policy import restored_config
 from ppt_rl.training import CheckpointMismatch, PPOConfig, as_json, checkpoint_info, find_checkpoint
 from ppt_rl.training.logs import read_scalar
 
@@ -48,10 +57,10 @@ variants = pytest.mark.parametrize("variant", sorted(CHAINS))
 
 def tiny(variant: str, run_dir: Path) -> Any:
     """Options of a training of two batches, an episode of four environments each."""
-    recipe = recipe_of(variant)
-    shape = {"rollout_steps": STEPS} if variant in ("s_push", "st_push") else {"num_basis": 4}
+    recipe = find_recipe(variant)
+    shape = {"batch_steps": STEPS} if variant in ("s_push", "st_push") else {"num_basis": 4}
     ppo = PPOConfig(total_control_steps=2 * 4 * STEPS, epochs=2, minibatches=2)
-    return recipe.Config(run_dir=run_dir, num_envs=4, num_threads=1, duration=0.2, physics_dt=0.002, ppo=ppo, **shape)
+    return recipe.config(run_dir=run_dir, num_envs=4, num_threads=1, duration=0.2, physics_dt=0.002, ppo=ppo, **shape)
 
 
 class Untrained(NamedTuple):
@@ -68,10 +77,11 @@ def untrained() -> dict[str, Untrained]:
     """Every variant with limits of its own."""
     made = {}
     for variant in sorted(CHAINS):
-        recipe, config = recipe_of(variant), replace(tiny(variant, Path("unused")), p_max=1.25)
-        if variant.endswith("t_push"):
+        recipe, config = find_recipe(variant), replace(tiny(variant, Path("unused")), p_max=1.25)
+        if recipe.has_tank:
             config = replace(config, e_max=2.5)
-        env = recipe.make_env(config, *recipe.make_modules(config).values(), audit=True)
+        base = recipe.task.make_training_env(config, num_envs=4, seed=0, audit=True)
+        env = recipe.on(base, config, recipe.make_modules(config))
         made[variant] = Untrained(config, env, *recipe.make_policy(config, env))
     return made
 
@@ -91,16 +101,18 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Trained]:
     """A tiny training of each variant."""
     runs = {}
     for variant in sorted(CHAINS):
-        recipe, made = recipe_of(variant), {}
+        recipe, made = find_recipe(variant), {}
 
         def keep(name, make, made=made):
             return lambda *args: made.setdefault(name, make(*args))
 
         config = tiny(variant, tmp_path_factory.mktemp(variant))
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(recipe, "make_policy", keep("policy", recipe.make_policy))
-            patch.setattr(recipe, "make_modules", keep("modules", recipe.make_modules))
-            path = recipe.main(config)
+        watched = replace(
+            recipe,
+            make_policy=keep("policy", recipe.make_policy),
+            make_modules=keep("modules", recipe.make_modules),
+        )
+        path = watched.train(config)
         runs[variant] = Trained(path, config, *made["policy"], made.get("modules", {}))
     return runs
 
@@ -126,9 +138,9 @@ def chain(env: EnvBase) -> list[str]:
 
 def test_the_registry_knows_every_pushing_recipe_by_its_own_name(root):
     files = {path.stem for path in (root / "recipes").glob("ppo_*_push.py")}
-    names = {name for name in RECIPES if name.endswith("_push")}
-    assert {RECIPES[name] for name in names} == files
-    assert {name: recipe_of(name).VARIANT for name in names} == {name: name for name in CHAINS}
+    names = {name for name in shipped_recipes() if name.endswith("_push")}
+    assert {f"ppo_{name}" for name in names} == files
+    assert {name: find_recipe(name).variant for name in names} == {name: name for name in CHAINS}
 
 
 @variants
@@ -193,10 +205,10 @@ def test_a_tiny_training_leaves_a_checkpoint_and_logs(trained, variant):
 @variants
 def test_a_checkpoint_brings_back_the_policy_with_its_chain_to_the_bit(trained, policies, variant):
     run, policy = trained[variant], policies[variant]
-    assert (policy.variant, policy.recipe.VARIANT, policy.config) == (variant, variant, run.config)
+    assert (policy.variant, policy.recipe, policy.config) == (variant, find_recipe(variant), run.config)
     assert list(policy.modules) == list(run.modules)
-    recipe = recipe_of(variant)
-    there = episode(recipe.make_env(run.config, *run.modules.values(), num_envs=3, seed=17), run.actor)
+    recipe = find_recipe(variant)
+    there = episode(recipe.make_env(run.config, run.modules, num_envs=3, seed=17), run.actor)
     back = episode(policy.make_env(num_envs=3, seed=17), policy.actor)
     assert there["next", "done"][:, -1].all()
     for key in ("action", ("next", "pose"), ("next", "reward"), ("next", "metrics", "work")):
@@ -224,20 +236,22 @@ def test_the_evaluated_environment_hides_what_is_privileged(policies, variant):
 
 @pytest.mark.parametrize("size", [0.06, 0.08])
 def test_options_of_the_environment_can_be_changed_for_an_evaluation(policies, size):
-    env = policies["s_push"].make_env(num_envs=3, seed=0, box_sizes=(size,), num_threads=1)
+    env = policies["s_push"].with_changes(box_sizes=(size,), num_threads=1).make_env(num_envs=3, seed=0)
     assert (env.reset()["box_size"] == size).all()
 
 
-# -- the command line of the evaluation --------------------------------------------------------------------------------
+# -- evaluation --------------------------------------------------------------------------------------------------------
 
 
 def test_a_stepwise_policy_has_a_report_of_its_own(trained, tmp_path, monkeypatch):
     monkeypatch.setattr("ppt_rl.envs.rendering.rendering_backend", lambda: "disable")  # a video takes seconds
-    evaluate.main(evaluate.Config(trained["s_push"].path, episodes=4, num_envs=4, num_threads=1, report=tmp_path))
+    policy = load_policy(trained["s_push"].path)
+    evaluate(policy, episodes=4, seed=1, num_envs=4).write(tmp_path)
+    draw_policy(policy, tmp_path, episodes=2, seed=1)
     names = {"evaluation.md", "evaluation.json", "audit.json", "episodes.csv", "episode.png", "training.png"}
     assert {path.name for path in tmp_path.iterdir()} == names
     (label, row), *others = json.loads((tmp_path / "evaluation.json").read_text()).items()
-    assert (label, list(row), others) == ("s_push, box 6 and 8 cm", list(REPORTED), [])
+    assert (label, list(row), others) == ("s_push", list(COLUMNS), [])
     with (tmp_path / "episodes.csv").open() as file:
         episodes = list(csv.DictReader(file))
     assert len(episodes) == 4
@@ -259,27 +273,29 @@ def test_a_recorded_episode_holds_what_was_seen_after_each_of_its_control_steps(
         assert torch.equal(recorded["trace", "pose"], run["pose"])
 
 
-@pytest.mark.parametrize("variant", ["s_push", "st_push"])
-def test_a_stepwise_policy_has_no_reference_to_run_alone(trained, variant):
-    with pytest.raises(ValueError, match=f"{variant} has no reference to run alone; leave --baseline out"):
-        evaluate.main(evaluate.Config(trained[variant].path, episodes=2, baseline=True))
+@variants
+def test_only_a_policy_on_residuals_has_a_reference_to_run_alone(policies, variant):
+    has_one = variant in ("pp_push", "ppt_push")
+    assert policies[variant].baselines() == (["reference alone"] if has_one else [])
+    if not has_one:
+        with pytest.raises(ValueError, match=f"'reference alone' is unknown for {variant}; expected one of"):
+            policies[variant].make_baseline("reference alone")
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"colour": "red"}, "another version of s_push: options colour"),
-        ({"max_lead": None}, "another version of s_push: options max_lead"),
-        ({"ppo": {"epochs": 0}}, "options that do not fit s_push .*epochs is 0"),
-        ({"ppo": {"tempo": 1}}, "options that do not fit s_push .*tempo"),
-        ({"box_sizes": 3}, "options that do not fit s_push"),
+        ({"colour": "red"}, r"another version of s_push: .*unknown \['colour'\]"),
+        ({"max_lead": None}, r"another version of s_push: .*have no \['max_lead'\]"),
+        ({"ppo": as_json(PPOConfig()) | {"epochs": 0}}, "another version of s_push: epochs is 0"),
+        ({"ppo": {"tempo": 1}}, r"another version of s_push: the settings of PPOConfig .*unknown \['tempo'\]"),
     ],
 )
 def test_a_checkpoint_with_options_that_the_recipe_does_not_have_is_refused(trained, tmp_path, change, message):
     run = trained["s_push"]
     settings = {key: value for key, value in (as_json(run.config) | change).items() if value is not None}
     with pytest.raises(CheckpointMismatch, match=message):
-        restored_config(recipe_of("s_push"), settings, run.path)
+        restored_config(find_recipe("s_push"), settings, run.path)
     path = tmp_path / "edited.torchrl"
     metadata = {"variant": "s_push", "config": settings, "success": 0.0}
     Checkpoint(format="archive", actor=run.actor).save(path, metadata=metadata)
@@ -289,7 +305,7 @@ def test_a_checkpoint_with_options_that_the_recipe_does_not_have_is_refused(trai
 
 def test_options_come_back_from_their_json_as_they_were(trained):
     for variant, run in trained.items():
-        assert restored_config(recipe_of(variant), as_json(run.config) | {"variant": variant}, run.path) == run.config
+        assert restored_config(find_recipe(variant), as_json(run.config) | {"variant": variant}, run.path) == run.config
 
 
 def test_a_checkpoint_of_one_variant_does_not_fit_another(trained, tmp_path):
@@ -314,13 +330,12 @@ def published(trained, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def test_a_published_policy_is_evaluated_like_the_checkpoint_it_comes_from(trained, published, capsys):
+def test_a_published_policy_is_evaluated_like_the_checkpoint_it_comes_from(trained, published):
     tables = []
     for path in (published, trained["ppt_push"].path):
-        evaluate.main(evaluate.Config(path, episodes=4, num_envs=4, num_threads=1, seed=3, json=True))
-        tables.append(capsys.readouterr().out.removeprefix(str(path)))
+        tables.append(evaluate(load_policy(path), episodes=4, num_envs=4, seed=3).as_json())
     assert tables[0] == tables[1]
-    assert list(json.loads(tables[0].splitlines()[-1])) == list(REPORTED)
+    assert list(tables[0]) == list(COLUMNS)
 
 
 def damaged(published: Path, place: Path, name: str) -> Path:
@@ -332,10 +347,10 @@ def damaged(published: Path, place: Path, name: str) -> Path:
     return copy
 
 
-def test_a_published_policy_that_was_tampered_with_ends_the_program_with_advice(published, tmp_path, root):
+def test_a_published_policy_that_was_tampered_with_ends_the_program_with_advice(published, tmp_path):
     copy = damaged(published, tmp_path, "policy.safetensors")
     run = subprocess.run(
-        [sys.executable, "recipes/evaluate.py", str(copy), "--episodes", "2"], cwd=root, capture_output=True, text=True
+        [sys.executable, "-m", "ppt_rl", "evaluate", str(copy), "--episodes", "2"], capture_output=True, text=True
     )
     assert run.returncode == 2
     assert "SHA-256" in run.stderr

@@ -13,7 +13,7 @@ from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaMazeEnv, PandaPushEnv
-from ppt_rl.functional import MetricsConfig
+from ppt_rl.functional import MetricsConfig, ViaPointConfig
 from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
@@ -26,6 +26,7 @@ from ppt_rl.transforms import (
     MacroStepTransform,
     PowerLimitTransform,
     ProMPTransform,
+    RecedingKeys,
     RecedingProMPTransform,
     ViaPointTransform,
 )
@@ -57,12 +58,13 @@ class Case:
     """How one transform is tested.
 
     Attributes:
-        make: the transform.
+        make: the transform, with further arguments for it.
         inner: shape of the action towards the environment.
         outer: shape of the action from outside.
         state: keys of its state.
         written: keys that it adds to the observations, beyond its state.
         forward: keys that it adds to stored data.
+        timed: whether it needs the control step.
         nested: arguments for a nested action, and for nested observations where the transform takes their keys.
         prefix: nest of the observations in the nested case.
         base: arguments for the mock environment.
@@ -74,6 +76,7 @@ class Case:
     state: tuple[str, ...] = ()
     written: tuple[NestedKey, ...] = ()
     forward: tuple[NestedKey, ...] = ()
+    timed: bool = False
     nested: dict[str, Any] = field(default_factory=dict)
     prefix: tuple[str, ...] = ("agent",)
     base: dict[str, Any] = field(default_factory=dict)
@@ -87,19 +90,14 @@ CASES: dict[str, Case] = {
         inner=(13,),
         outer=(3,),
         state=("reference_position",),
+        timed=True,
         nested={**_ACTION, "pose_key": ("agent", "pose")},
     ),
     "ContactViaPointTransform": Case(
         lambda **kwargs: ContactViaPointTransform(
             0.1,
-            **{
-                "capacity": 3,
-                "lookahead": 0.05,
-                "spacing": 0.02,
-                "wrench_key": "wrench",
-                "heading_key": "start_heading",
-                **kwargs,
-            },
+            ViaPointConfig(capacity=3, lookahead=0.05, spacing=0.02),
+            **{"wrench_key": "wrench", "heading_key": "start_heading", **kwargs},
         ),
         state=(
             "contact",
@@ -112,6 +110,7 @@ CASES: dict[str, Case] = {
             "via_position",
             "via_cov",
         ),
+        timed=True,
         nested={f"{key}_key": ("agent", key) for key in ("pose", "twist", "wrench")}
         | {"heading_key": ("agent", "start_heading")},
         base={"via_points": False},
@@ -119,6 +118,7 @@ CASES: dict[str, Case] = {
     "EnergyTankTransform": Case(
         lambda **kwargs: EnergyTankTransform(p_max=1.0, e_max=0.02, **kwargs),
         state=("tank_energy", "valve"),
+        timed=True,
         nested={"effort_key": ("agent", "action"), "flow_key": "joint_velocity"},
     ),
     "EpisodeMetricsTransform": Case(
@@ -136,12 +136,14 @@ CASES: dict[str, Case] = {
                 "contact_continuity",
             )
         ),
+        timed=True,
         nested={"twist_key": ("agent", "twist"), "wrench_key": ("agent", "wrench")},
     ),
     "HeadingFrameTransform": Case(
         HeadingFrameTransform,
         state=("heading", "smooth_wrench"),
         written=("heading_twist", "heading_wrench"),
+        timed=True,
         nested={
             "twist_key": ("agent", "twist"),
             "wrench_key": ("agent", "wrench"),
@@ -158,6 +160,7 @@ CASES: dict[str, Case] = {
         lambda **kwargs: JointTorqueTransform(Kinematics(PANDA, 0.1), max_torque_rate=1000.0, **kwargs),
         outer=(6,),
         state=("power", "torque"),
+        timed=True,
         nested=_ACTION,
     ),
     "MacroStepTransform": Case(
@@ -170,6 +173,7 @@ CASES: dict[str, Case] = {
         lambda **kwargs: PowerLimitTransform(16.0, penalty=10.0, terminate=True, **kwargs),
         written=("cost",),
         forward=("cost",),
+        timed=True,
         nested={"twist_key": ("agent", "twist"), "wrench_key": ("agent", "wrench")},
     ),
     "ProMPTransform": Case(
@@ -177,18 +181,22 @@ CASES: dict[str, Case] = {
         inner=(5, 13),
         outer=(12,),
         state=("phase", "reference_position", "reference_velocity", "weights"),
+        timed=True,
         nested={**_ACTION, "pose_key": ("agent", "pose")},
     ),
     "RecedingProMPTransform": Case(
         lambda **kwargs: RecedingProMPTransform(
             make_promp(),
             TaskSpace(("x", "y", "z"), ORIGIN),
-            **{"replan_steps": 5, "heading_key": "start_heading", **kwargs},
+            **{"replan_steps": 5, "keys": RecedingKeys(heading="start_heading"), **kwargs},
         ),
         inner=(5, 13),
         outer=(12,),
         state=("phase", "reference_position", "reference_velocity", "weights"),
-        nested={**_ACTION, "pose_key": ("agent", "pose"), "heading_key": ("agent", "start_heading")},
+        timed=True,
+        nested={
+            "keys": RecedingKeys(action=("agent", "action"), pose=("agent", "pose"), heading=("agent", "start_heading"))
+        },
     ),
     "ViaPointTransform": Case(
         lambda **kwargs: ViaPointTransform(make_promp(), write_cov=True, **kwargs),
@@ -197,6 +205,12 @@ CASES: dict[str, Case] = {
         nested={"prefix": ("agent",)},
     ),
 }
+
+
+def standalone(name: str) -> Transform:
+    """A case's transform for use without an environment of its own: it is told the control step."""
+    case = CASES[name]
+    return case.make(dt=0.01) if case.timed else case.make()
 
 
 def make_base(name: str, batch: tuple[int, ...] = (), **kwargs: Any) -> MockArmEnv:
@@ -214,6 +228,7 @@ def make_nested(name: str, batch: tuple[int, ...] = ()) -> TransformedEnv:
     """A case's transform with nested keys."""
     case = CASES[name]
     key = case.nested.get("action_key", case.nested.get("effort_key", "action"))
+    key = case.nested["keys"].action if "keys" in case.nested else key
     base = make_base(name, batch, action_key=key, prefix=case.prefix)
     return TransformedEnv(base, case.make(**case.nested))
 

@@ -33,6 +33,8 @@ class MockArmEnv(EnvBase):
         via_points: whether there are via-points.
     """
 
+    control_dt: float | None = 0.01
+
     def __init__(
         self,
         batch_size: Sequence[int] = (),
@@ -150,6 +152,8 @@ class NestedEffortEnv(EnvBase):
         agents: shape of the nest beyond the batch.
     """
 
+    control_dt = 0.01
+
     def __init__(self, batch_size: Sequence[int] = (), agents: Sequence[int] = ()) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size(batch_size))
         self.nest = (*self.batch_size, *agents)
@@ -181,7 +185,7 @@ class NestedEffortEnv(EnvBase):
 class ScriptedEnv(EnvBase):
     """Observations that follow a script whatever the actions; the reward is 1, the last step of the script is done.
 
-    ``executed`` is the action as it arrived. Every row moves, also outside a ``_step`` mask.
+    ``executed`` is the action as it arrived. Every row moves, also outside a ``_step`` mask. It has no ``control_dt``.
 
     Args:
         action_size: of one row.
@@ -233,6 +237,8 @@ class TowedEnv(EnvBase):
         steps: references in a chunk.
         share: of the way to the last reference that the tool makes; 0 is a tool that is blocked.
     """
+
+    control_dt = 0.01
 
     def __init__(self, pose: Tensor, heading: Tensor, *, steps: int, share: float) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=pose.shape[:1])

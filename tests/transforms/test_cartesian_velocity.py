@@ -161,7 +161,7 @@ def test_a_tool_pulled_away_takes_the_reference_along_without_a_twist_above_the_
 def test_coordinates_outside_the_task_space_stay_at_the_origin_pose_at_rest(axes):
     space = TaskSpace(axes, ORIGIN)
     elsewhere = TaskSpace(("x", "y", "z", "yaw"), ORIGIN).pose(torch.tensor([[[0.5, 0.2, 0.3, 0.4]] * 4] * 2))
-    env = TransformedEnv(ScriptedEnv(13, pose=elsewhere), CartesianVelocityTransform(space))
+    env = TransformedEnv(ScriptedEnv(13, pose=elsewhere), CartesianVelocityTransform(space, dt=DT))
     executed = play(env, torch.ones(3, 2, len(axes)))["next", "executed"]
     numbers = [*(i for i, axis in enumerate("xyz") if axis not in axes), *(() if "yaw" in axes else range(3, 7))]
     assert torch.equal(executed[..., numbers], torch.tensor(ORIGIN)[numbers].expand(2, 3, len(numbers)))
@@ -249,7 +249,7 @@ def test_a_control_step_that_is_not_positive_is_refused_with_what_came(dt):
 
 def test_a_missing_pose_is_named():
     td = MockArmEnv((2,)).reset().exclude("pose").set("action", torch.zeros(2, 3))
-    with pytest.raises(KeyError, match=r"CartesianVelocityTransform needs .*pose.* it holds .*twist"):
+    with pytest.raises(KeyError, match=r"CartesianVelocityTransform needs .*pose.* holds .*twist"):
         make_transform().inv(td)
 
 
@@ -282,7 +282,7 @@ def test_specs_hold_on_the_simulated_arm():
 
 def test_where_yaw_wraps_round_the_reference_stays_where_it_is():
     space = TaskSpace(("yaw",), ORIGIN)
-    transform = CartesianVelocityTransform(space, max_velocity=1.5, max_lead=0.3)
+    transform = CartesianVelocityTransform(space, max_velocity=1.5, max_lead=0.3, dt=DT)
     held, beyond = torch.tensor([[torch.pi - 0.01]]), torch.tensor([[torch.pi + 0.01]])
     tensordict = TensorDict(
         {"action": torch.zeros(1, 1), "pose": space.pose(beyond), "reference_position": held}, batch_size=[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import multiprocessing
 from functools import partial
 
@@ -12,11 +13,11 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Composite, LazyTensorStorage, ReplayBuffer
-from torchrl.envs import Compose, EnvBase, ParallelEnv, RewardSum, SerialEnv, StepCounter, TransformedEnv
+from torchrl.envs import Compose, EnvBase, ParallelEnv, RewardSum, SerialEnv, StepCounter, Transform, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 import ppt_rl.transforms
-from tests.transforms.cases import CASES, make_base, make_chain_env, make_env, make_nested, stored
+from tests.transforms.cases import CASES, make_base, make_chain_env, make_env, make_nested, standalone, stored
 from tests.transforms.mocks import actions_for, play
 
 every_transform = pytest.mark.parametrize("name", sorted(CASES))
@@ -47,7 +48,13 @@ def leaves(spec: Composite) -> set:
 
 
 def test_every_public_transform_has_a_case():
-    assert sorted(CASES) == sorted(ppt_rl.transforms.__all__)
+    public = [name for name in ppt_rl.transforms.__all__ if issubclass(getattr(ppt_rl.transforms, name), Transform)]
+    assert sorted(CASES) == sorted(public)
+
+
+@every_transform
+def test_a_constructor_has_at_most_eight_arguments(name):
+    assert len(inspect.signature(getattr(ppt_rl.transforms, name)).parameters) <= 8
 
 
 # -- environments ------------------------------------------------------------------------------------------------------
@@ -74,12 +81,12 @@ def test_specs_hold_on_a_serial_env_of_transformed_environments(name):
 
 @every_transform
 def test_specs_hold_on_a_transformed_serial_env(name):
-    check_env_specs(TransformedEnv(SerialEnv(2, partial(make_base, name)), CASES[name].make()))
+    check_env_specs(TransformedEnv(SerialEnv(2, partial(make_base, name)), standalone(name)))
 
 
 @every_transform
 def test_a_transformed_serial_env_equals_a_serial_env_of_transformed_environments(name):
-    outside = TransformedEnv(SerialEnv(2, partial(make_base, name)), CASES[name].make())
+    outside = TransformedEnv(SerialEnv(2, partial(make_base, name)), standalone(name))
     inside = SerialEnv(2, partial(make_env, name))
     actions = actions_for(inside, 5)
     outside.set_seed(7)
@@ -305,14 +312,14 @@ def test_stepping_again_over_a_stale_next_gives_the_same_step(name):
 @every_transform
 def test_forward_without_an_environment_adds_only_what_is_documented(name):
     td = stored(name)
-    out = CASES[name].make()(td.clone())
+    out = standalone(name)(td.clone())
     assert set(out.keys(True, True)) - set(td.keys(True, True)) == set(CASES[name].forward)
     assert_same(out.select(*td.keys(True, True)), td)
 
 
 @every_transform
 def test_inverse_without_an_environment_maps_the_action_and_leaves_the_callers_tensordict_untouched(name):
-    td, transform = stored(name), CASES[name].make()
+    td, transform = stored(name), standalone(name)
     before = td.clone()
     if name == "MacroStepTransform":
         with pytest.raises(RuntimeError, match="append it to a TransformedEnv"):
@@ -342,16 +349,16 @@ def test_inverse_gives_the_action_that_the_environment_executes(name):
 def test_a_model_may_begin_with_the_transform(name, container):
     td = stored(name)
     module = TensorDictModule(nn.Linear(6, 2), in_keys=["twist"], out_keys=["value"])
-    out = container(CASES[name].make(), module)(td.clone())
+    out = container(standalone(name), module)(td.clone())
     torch.testing.assert_close(out["value"], module(td.clone())["value"])
     assert {*CASES[name].forward} <= set(out.keys(True, True))
 
 
 @every_transform
 def test_a_replay_buffer_stores_the_inverse_and_samples_the_forward(name):
-    td, transform = stored(name), CASES[name].make()
+    td, transform = stored(name), standalone(name)
     buffer = ReplayBuffer(storage=LazyTensorStorage(8), batch_size=4)
-    buffer.append_transform(CASES[name].make())
+    buffer.append_transform(standalone(name))
     if name == "MacroStepTransform":
         with pytest.raises(RuntimeError, match="append it to a TransformedEnv"):
             buffer.extend(td)
@@ -378,7 +385,7 @@ def test_a_missing_action_is_a_key_error_that_names_the_transform(name):
 
 @every_transform
 def test_a_tensordict_without_observations_is_a_key_error_that_names_the_transform(name):
-    transform = CASES[name].make()
+    transform = standalone(name)
     empty = TensorDict({"action": torch.zeros(2, *CASES[name].outer)}, [2])
     if name == "MacroStepTransform":
         with pytest.raises(KeyError, match="no observation"):

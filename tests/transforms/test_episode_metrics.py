@@ -15,13 +15,13 @@ from tests.transforms.mocks import MockArmEnv, actions_for, play
 CONFIG = MetricsConfig(p_max=1.0, contact_force=3.0)
 
 
-def offline(steps, config=CONFIG):
+def offline(steps, dt=0.01):
     """Metrics of a recorded episode ``(T, ...)`` by the functional form."""
-    memory = begin_metrics(steps["twist"][0], steps["wrench"][0], config)
+    memory = begin_metrics(steps["twist"][0], steps["wrench"][0], CONFIG, dt=dt)
     for step in steps["next"].unbind(0):
         power = step.get("power", None)
         power = (step["twist"] * step["wrench"]).sum(-1, keepdim=True) if power is None else power
-        memory = update_metrics(memory, step["twist"], step["wrench"], power, config)
+        memory = update_metrics(memory, step["twist"], step["wrench"], power, CONFIG, dt=dt)
     return summarise_metrics(memory)
 
 
@@ -57,7 +57,7 @@ def test_a_partial_reset_begins_a_new_episode_in_its_rows_and_goes_on_in_the_oth
     env = TransformedEnv(MockArmEnv((2,), horizons=(20,)), EpisodeMetricsTransform(CONFIG))
     last = env._step_mdp(play(env, actions_for(env, 3))[:, -1])
     reached = env.reset(last.clone().set("_reset", torch.tensor([[True], [False]])))
-    fresh = begin_metrics(reached["twist"], reached["wrench"], CONFIG)
+    fresh = begin_metrics(reached["twist"], reached["wrench"], CONFIG, dt=0.01)
     assert torch.equal(reached["metrics_memory"][0], fresh[0])
     assert torch.equal(reached["metrics_memory"][1], last["metrics_memory"][1])
     assert not torch.equal(reached["metrics_memory"][1], fresh[1])
@@ -79,13 +79,14 @@ def test_max_power_is_the_measured_power_where_no_commanded_one_is_observed():
     torch.testing.assert_close(end["max_power"], end["max_power_measured"])
 
 
-def test_streaming_equals_the_functional_form_on_the_simulated_arm():
+@pytest.mark.parametrize("dt", [0.01, 0.02])
+def test_streaming_equals_the_functional_form_on_the_simulated_arm(dt):
     chain = [JointTorqueTransform(Kinematics(PANDA, PandaPushEnv.tool.length)), EpisodeMetricsTransform(CONFIG)]
-    env = push_env(2, *chain)
+    env = push_env(2, *chain, duration=10 * dt, control_dt=dt)
     steps = play(env, actions_for(env, 10, scale=10.0))
     assert steps["next", "done"][:, -1].all()
     for row in range(2):
-        for name, value in offline(steps[row]).items():
+        for name, value in offline(steps[row], dt).items():
             torch.testing.assert_close(steps["next", "metrics", name][row, -1], value)
 
 

@@ -74,7 +74,7 @@ def test_the_torque_stays_within_the_arms_limits_and_reaches_them():
 
 
 def test_the_torque_rate_stays_within_its_limit_from_the_first_step_of_every_episode():
-    env = make_env(horizons=(4,), max_torque_rate=300.0, dt=0.01)
+    env = make_env(horizons=(4,), max_torque_rate=300.0)
     steps = play(env, actions_for(env, 8, scale=200.0))
     torque = steps["next", "executed"]
     assert torch.equal(steps["next", "torque"], torque)

@@ -93,7 +93,7 @@ def test_stored_readings_get_their_cost_and_keep_their_rewards_and_ends(batch):
     readings = {key: torch.randn(*batch, 6, generator=generator) for key in ("wrench", "twist")}
     flags = {key: torch.zeros(*batch, 1, dtype=torch.bool) for key in ("done", "terminated")}
     td = TensorDict({**readings, **flags, "reward": torch.ones(*batch, 1)}, batch)
-    out = PowerLimitTransform(1.0, penalty=10.0, terminate=True)(td.clone())
+    out = PowerLimitTransform(1.0, penalty=10.0, terminate=True, dt=0.01)(td.clone())
     assert_close(out["cost"].double(), measured_cost(td, 1.0), rtol=0, atol=1e-6)
     assert 0 < (out["cost"] > 0).sum() < out["cost"].numel()
     for key in td.keys():
@@ -134,7 +134,7 @@ def test_the_penalty_takes_exactly_penalty_times_cost_off_the_reward_and_changes
 
 def test_a_zero_penalty_leaves_the_reward_alone_even_at_an_infinite_cost():
     readings = torch.full((1, 3, 6), torch.inf)
-    env = TransformedEnv(ScriptedEnv(2, wrench=readings, twist=readings), PowerLimitTransform())
+    env = TransformedEnv(ScriptedEnv(2, wrench=readings, twist=readings), PowerLimitTransform(dt=0.01))
     steps = play(env, torch.zeros(2, 1, 2))["next"]
     assert torch.isinf(steps["cost"]).all()
     assert torch.equal(steps["reward"], torch.ones(1, 2, 1))
@@ -235,7 +235,7 @@ def test_a_missing_reading_is_a_key_error_that_names_it_and_what_there_is(key):
 
 def test_an_environment_without_a_wrench_is_a_key_error_that_names_it():
     with pytest.raises(KeyError, match="wrench"):
-        TransformedEnv(PendulumEnv(), PowerLimitTransform()).rollout(1)
+        TransformedEnv(PendulumEnv(), PowerLimitTransform(dt=0.05)).rollout(1)
 
 
 @pytest.mark.parametrize("name", ["p_max", "dt"])

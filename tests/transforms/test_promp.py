@@ -149,7 +149,7 @@ def test_an_action_that_is_not_finite_is_refused(bad):
 @pytest.mark.parametrize("replan_steps", [0, -1, 11])
 def test_replan_steps_outside_the_duration_are_refused(replan_steps):
     with pytest.raises(ValueError, match=r"replan_steps is .*expected 1 to 10"):
-        make_promp_transform(replan_steps=replan_steps)
+        make_promp_transform(replan_steps=replan_steps, dt=0.01)
 
 
 @pytest.mark.parametrize("dt", [0.03, 0.2, 0.0, -0.01, float("nan")])

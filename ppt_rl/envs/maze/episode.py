@@ -1,8 +1,7 @@
-"""What a maze episode is drawn from, and where a tool is in its maze."""
+"""The state of maze episodes: which maze each environment has, and where its tool is in it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,74 +9,28 @@ import torch
 from torch import Tensor
 
 from ppt_rl.envs.arm import Rows
-from ppt_rl.envs.maze.geometry import Corridor
+from ppt_rl.envs.episodes import Episodes
+from ppt_rl.envs.maze.geometry import WALL_HEIGHT, Corridor
 
-__all__ = ["MazeEpisodes", "MazePlace", "MazeRandomisation", "MazeRewards"]
+__all__ = ["MazeEnd", "MazeEpisodes", "MazePosition"]
 
-#: Corners of a centre line that an environment has room for.
+#: Largest number of corners of a centre line.
 _CORNERS = 40
+#: Height of the tool's end above the floor at which it is out of the corridor [m].
+_LIFTED = 0.8 * WALL_HEIGHT
+#: Distance from the end of the centre line at which it counts as reached [m].
+_AT_END = 1e-4
 
 
-@dataclass(frozen=True)
-class MazeRandomisation:
-    """Ranges of how an episode starts, drawn from uniformly; the maze is drawn by its own ranges.
-
-    Attributes:
-        along: of the tool from the closed end [m].
-        across: of the tool from the centre line, as a share of the room on either side [-].
-        heading_error: of the heading that the robot is told, against the corridor's [rad].
-    """
-
-    along: tuple[float, float] = (0.03, 0.04)
-    across: tuple[float, float] = (-0.7, 0.7)
-    heading_error: tuple[float, float] = (-0.2, 0.2)
-
-    def __post_init__(self) -> None:
-        """Refuse empty ranges."""
-        for name, (low, high) in vars(self).items():
-            if not low <= high:
-                raise ValueError(f"randomisation range {name} is ({low}, {high}); expected low <= high.")
-        if self.along[0] < 0.02 or max(map(abs, self.across)) > 0.95:
-            raise ValueError(f"{self} puts the tool into a wall; expected along >= 0.02 m and across within +-0.95.")
-
-
-@dataclass(frozen=True)
-class MazeRewards:
-    """Weights of the four reward groups; each group is its own entry under ``reward_terms``.
+class MazePosition(NamedTuple):
+    """Where tools are in their corridors, at the nearest point of the centre line; ``(B, 1)`` each.
 
     Attributes:
-        progress: of the way along the centre line, whole way = 1 [1].
-        success: where the end is reached [1].
-        free_space: penalty rate on speed other than ``cruise``, with the square of the relative difference: a straight
-            corridor alone does not teach that the next turn may be near [1/s].
-        cruise: speed to go at [m/s].
-        contact: penalty rate at a force of ``force_scale`` on the map, and with its square [1/s].
-        force_scale: [N].
-        jolt: penalty rate at an acceleration of 1 m/s^2, and with its square [1/s].
-        failure: penalty where the tool leaves the corridor or the force is unsafe [1].
-        power: penalty on measured work, in or out [1/J].
-    """
-
-    progress: float = 1.0
-    success: float = 1.0
-    free_space: float = 20.0
-    cruise: float = 0.0565
-    contact: float = 12.0
-    force_scale: float = 4.0
-    jolt: float = 5.0
-    failure: float = 2.0
-    power: float = 0.1
-
-
-class MazePlace(NamedTuple):
-    """Where tools are along their mazes, ``(B, 1)`` each.
-
-    Attributes:
-        travelled: along the centre line, of the nearest point on it [m].
-        offset: to the left of the centre line [m].
-        floor: height of the floor there [m].
-        half_width: from centre line to wall there, at most [m].
-        heading: of the centre line there [rad].
+        travelled: distance of that point along the centre line [m].
+        offset: distance of the tool to the left of the centre line [m].
+        floor: height of the floor at that point [m].
+        half_width: largest distance from the centre line to a wall there [m].
+        heading: direction of the centre line there [rad].
     """
 
     travelled: Tensor
@@ -87,8 +40,27 @@ class MazePlace(NamedTuple):
     heading: Tensor
 
 
-class MazeEpisodes:
-    """The mazes of a batch of environments, and what their reward remembers.
+class MazeEnd(NamedTuple):
+    """Which events end an episode; ``(B, 1)`` booleans.
+
+    Attributes:
+        success: the end of the centre line is reached, and nothing failed.
+        left_corridor: the tool's axis is beyond a wall, or its end is lifted over the walls.
+        unsafe: the force is above the safe limit.
+    """
+
+    success: Tensor
+    left_corridor: Tensor
+    unsafe: Tensor
+
+    @property
+    def failed(self) -> Tensor:
+        """``(B, 1)`` True where the episode ends unsafely."""
+        return self.left_corridor | self.unsafe
+
+
+class MazeEpisodes(Episodes):
+    """The mazes of a batch of environments, and what the rewards compare the next control step with.
 
     Args:
         num_envs: number of environments.
@@ -96,27 +68,25 @@ class MazeEpisodes:
     """
 
     def __init__(self, num_envs: int, dtype: torch.dtype) -> None:
-        def zeros(*shape: int) -> Tensor:
-            return torch.zeros(num_envs, *shape, dtype=dtype)
-
-        self.dtype = dtype
+        super().__init__(num_envs, dtype)
+        zeros = self.zeros
         self.centre = zeros(_CORNERS, 3)
         self.half_width = zeros(_CORNERS - 1)
-        self.at = zeros(_CORNERS)  # of each corner, along the centre line [m]
+        self.at = zeros(_CORNERS)  # distance of each corner along the centre line [m]
         self.length = zeros(1) + 1
         self.start_heading = zeros(1)
-        self.travelled, self.velocity = zeros(1), zeros(3)
+        self.travelled, self.velocity = zeros(1), zeros(3)  # at the last control step
         self.over = torch.zeros(num_envs, 1, dtype=torch.bool)
         self.friction = np.zeros(num_envs)
         self.corridors: list[Corridor | None] = [None] * num_envs
 
     def write(self, row: int, corridor: Corridor, friction: float) -> None:
-        """Take over a maze; the rest of the room repeats its end.
+        """Store the maze of one environment. Unused corners repeat the last one.
 
         Args:
-            row: environment.
-            corridor: its maze.
-            friction: of walls and floor on the tool [-].
+            row: index of the environment.
+            corridor: geometry of its maze.
+            friction: friction coefficient between the tool and walls or floor [-].
 
         Raises:
             ValueError: if the centre line has too many corners.
@@ -135,33 +105,39 @@ class MazeEpisodes:
         self.length[row] = self.at[row, -1]
 
     def begin(self, rows: Rows, heading: np.ndarray) -> None:
-        """Open an episode. Observed tensors are replaced, not changed: earlier observations keep theirs.
+        """Begin episodes.
 
         Args:
-            rows: environments.
-            heading: ``(R,)`` that the robot is told [rad].
+            rows: indices of the environments.
+            heading: ``(R,)`` heading that each robot is told [rad].
         """
-        index = torch.from_numpy(rows)
-        self.start_heading, self.over = self.start_heading.clone(), self.over.clone()
-        self.start_heading[index, 0] = torch.from_numpy(heading).to(self.dtype)
-        self.over[index] = False
+        self.replace(torch.from_numpy(rows), start_heading=heading[:, None], over=False)
 
-    def locate(self, position: Tensor) -> MazePlace:
-        """Where tools are.
+    def measure_from(self, rows: Tensor, position: MazePosition) -> None:
+        """Measure the progress of some environments from where their tools are now, at rest.
 
         Args:
-            position: ``(B, 3)`` [m].
+            rows: indices of the environments.
+            position: of the tools of all environments.
+        """
+        self.replace(rows, travelled=position.travelled[rows], velocity=0.0)
+
+    def locate(self, position: Tensor) -> MazePosition:
+        """Find where tools are in their corridors.
+
+        Args:
+            position: ``(B, 3)`` or longer, starting with the position of the tool's end [m].
 
         Returns:
-            The nearest places on the centre lines.
+            The nearest points on the centre lines.
         """
-        begin, way = self.centre[:, :-1], self.centre.diff(dim=1)  # (B, P - 1, 3)
-        plane = way[..., :2]
+        begin, edge = self.centre[:, :-1], self.centre.diff(dim=1)  # (B, P - 1, 3)
+        plane = edge[..., :2]
         square = plane.square().sum(-1)
         to_tool = position[:, None, :2] - begin[..., :2]
         share = ((to_tool * plane).sum(-1) / square.clamp_min(1e-12)).clamp(0.0, 1.0)
         away = torch.linalg.vector_norm(to_tool - share.unsqueeze(-1) * plane, dim=-1)
-        # Pieces without a length only fill the room.
+        # Pieces without length belong to unused corners.
         nearest = away.masked_fill(square < 1e-10, torch.inf).argmin(-1, keepdim=True)  # (B, 1)
 
         def there(values: Tensor) -> Tensor:
@@ -170,10 +146,39 @@ class MazeEpisodes:
         size = there(square).sqrt()
         x, y = there(plane[..., 0]), there(plane[..., 1])
         side = torch.sign(x * there(to_tool[..., 1]) - y * there(to_tool[..., 0]))
-        return MazePlace(
+        return MazePosition(
             travelled=there(self.at[:, :-1]) + there(share) * size,
             offset=side * there(away),
-            floor=there(begin[..., 2]) + there(share) * there(way[..., 2]),
+            floor=there(begin[..., 2]) + there(share) * there(edge[..., 2]),
             half_width=there(self.half_width),
             heading=torch.atan2(y, x),
         )
+
+    def judge(self, position: MazePosition, height: Tensor, force: Tensor, max_force: float) -> MazeEnd:
+        """Decide which episodes end.
+
+        Args:
+            position: of the tools.
+            height: ``(B, 1)`` height of the tool's end [m].
+            force: ``(B, 3)`` at the wrist [N].
+            max_force: largest safe force [N].
+
+        Returns:
+            What ends them.
+        """
+        lifted = height - position.floor > _LIFTED
+        left = (position.offset.abs() > position.half_width) | lifted
+        unsafe = force.square().sum(-1, keepdim=True) > max_force**2
+        success = position.travelled >= self.length - _AT_END
+        return MazeEnd(success & ~(left | unsafe), left, unsafe)
+
+    def advance(self, position: MazePosition, velocity: Tensor, end: MazeEnd) -> None:
+        """Remember a control step, for the rewards of the next one.
+
+        Args:
+            position: of the tools after the step.
+            velocity: ``(B, 3)`` of the tools [m/s].
+            end: which episodes are over.
+        """
+        self.travelled, self.velocity = position.travelled, velocity
+        self.over = end.success | end.failed

@@ -17,15 +17,15 @@ class Straight:
     """A straight piece of corridor.
 
     Attributes:
-        length: along the centre line, on the map [m].
-        rise: of the floor, on a ramp between two level ends [m].
+        length: length on the map [m].
+        rise: rise of the floor, on a ramp between two level ends [m].
     """
 
     length: float
     rise: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be built."""
+        """Check the ranges."""
         _require_range("Straight.length", self.length, 0.02, 2.0, "m")
         _require_range("Straight.rise", self.rise, -0.1, 0.1, "m")
 
@@ -35,30 +35,30 @@ class Turn:
     """A corner between two straights.
 
     Attributes:
-        angle: positive to the left [rad].
+        angle: change of direction, positive to the left [rad].
     """
 
     angle: float
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be built."""
+        """Check the ranges."""
         _require_range("Turn.angle", self.angle, -math.radians(75), math.radians(75), "rad")
 
 
 @dataclass(frozen=True)
 class Disc:
-    """A round chamber: the walls give way on both sides, and the way on is across.
+    """A round chamber, wider than the corridor: the walls recede on both sides, and the exit is opposite.
 
     Attributes:
-        diameter: [m].
-        angle: by which the way out is turned against the way in, positive to the left [rad].
+        diameter: diameter of the chamber [m].
+        angle: change of direction from entrance to exit, positive to the left [rad].
     """
 
     diameter: float
     angle: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be built."""
+        """Check the ranges."""
         _require_range("Disc.diameter", self.diameter, 0.07, 0.3, "m")
         _require_range("Disc.angle", self.angle, -math.radians(60), math.radians(60), "rad")
 
@@ -69,18 +69,19 @@ _KINDS: dict[str, type[Segment]] = {"straight": Straight, "turn": Turn, "disc": 
 
 @dataclass(frozen=True)
 class MazeLayout:
-    """A corridor, from its closed start to its open end.
+    """Description of a maze: a corridor from its closed start to its open end.
 
     Attributes:
-        segments: in order; the first and the last are straight, and so is what stands beside a turn or a disc.
-        width: between the walls [m].
-        friction: of walls and floor on the tool [-].
-        start: x and y where the centre line begins [m].
-        heading: of the first segment, from the x axis to the left [rad].
-        height: of the floor at the start, above the table [m].
+        segments: straights, turns and discs in order. The first and the last are straights, and turns and discs have
+            straights between them.
+        width: distance between the walls [m].
+        friction: friction coefficient between the tool and walls or floor [-].
+        start: x and y of the beginning of the centre line [m].
+        heading: direction of the first segment, counter-clockwise from the x axis [rad].
+        height: height of the floor at the start, above the table [m].
 
     Raises:
-        ValueError: if a number is out of range or the order is impossible.
+        ValueError: if a number is out of range or the order of segments is impossible.
     """
 
     segments: tuple[Segment, ...]
@@ -91,7 +92,7 @@ class MazeLayout:
     height: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be built."""
+        """Check the ranges and the order of segments."""
         object.__setattr__(self, "segments", tuple(self.segments))
         object.__setattr__(self, "start", tuple(self.start))
         _require_range("width", self.width, 0.03, 0.2, "m")
@@ -103,24 +104,24 @@ class MazeLayout:
         for value in self.start:
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 raise ValueError(f"start is {self.start}; expected two finite numbers, x and y [m].")
-        strange = [part for part in self.segments if not isinstance(part, tuple(_KINDS.values()))]
-        if strange or not self.segments:
-            raise ValueError(f"segments hold {strange or 'nothing'}; expected Straight, Turn and Disc.")
+        unknown = [part for part in self.segments if not isinstance(part, tuple(_KINDS.values()))]
+        if unknown or not self.segments:
+            raise ValueError(f"segments contain {unknown or 'nothing'}; expected Straight, Turn and Disc.")
         if not (isinstance(self.segments[0], Straight) and isinstance(self.segments[-1], Straight)):
-            raise ValueError("segments begin or end with a turn or a disc; expected a Straight there.")
+            raise ValueError("segments begin or end with a turn or a disc; expected a Straight at both ends.")
         for first, second in zip(self.segments[:-1], self.segments[1:], strict=True):
             if not isinstance(first, Straight) and not isinstance(second, Straight):
-                raise ValueError(f"{first} stands beside {second}; expected a Straight between them.")
+                raise ValueError(f"{first} is followed by {second}; expected a Straight between them.")
             if isinstance(first, Straight) and isinstance(second, Straight):
-                raise ValueError(f"{first} stands beside {second}; expected one Straight, or a Turn between them.")
+                raise ValueError(f"{first} is followed by {second}; expected one Straight, or a Turn between them.")
 
     @property
     def is_straight(self) -> bool:
-        """Whether there is nothing to turn at."""
+        """Whether the corridor has neither turns nor discs."""
         return all(isinstance(segment, Straight) for segment in self.segments)
 
     def to_json(self) -> str:
-        """The layout as JSON text, which :meth:`from_json` reads back."""
+        """The layout as JSON text, for :meth:`from_json`."""
         names = {kind: name for name, kind in _KINDS.items()}
         data = asdict(self)
         data["segments"] = [{"kind": names[type(part)], **asdict(part)} for part in self.segments]
@@ -128,51 +129,51 @@ class MazeLayout:
 
     @classmethod
     def from_json(cls, text: str) -> MazeLayout:
-        """Read a layout.
+        """Read a layout from JSON text.
 
         Args:
-            text: JSON: the attributes by name; each segment has a ``kind`` (``straight``, ``turn``, ``disc``) and its
-                own attributes.
+            text: an object with the attributes of the layout; each segment is an object with a ``kind`` (``straight``,
+                ``turn`` or ``disc``) and the attributes of that kind.
 
         Returns:
             The layout.
 
         Raises:
-            ValueError: if it is no JSON, a name is unknown or missing, or a number is out of range.
+            ValueError: if the text is not JSON, a name is unknown or missing, or a number is out of range.
         """
         try:
             data = json.loads(text)
         except json.JSONDecodeError as error:
-            raise ValueError(f"the layout is no JSON ({error}).") from error
+            raise ValueError(f"the layout is not valid JSON: {error}.") from error
         if not isinstance(data, Mapping) or not isinstance(data.get("segments"), Sequence):
             raise ValueError("the layout has no list of segments; expected {'segments': [{'kind': 'straight', ...}]}.")
         segments = tuple(_segment(part) for part in data["segments"])
-        return _built(cls, {**data, "segments": segments})
+        return _construct(cls, {**data, "segments": segments})
 
     @classmethod
     def load(cls, path: Path) -> MazeLayout:
         """Read a layout from a JSON file.
 
         Args:
-            path: of the file.
+            path: path of the file.
 
         Returns:
             The layout.
 
         Raises:
-            ValueError: as :meth:`from_json`.
+            ValueError: as for :meth:`from_json`.
         """
         return cls.from_json(Path(path).read_text())
 
 
 def paper_layout() -> MazeLayout:
-    """A maze with every element the paper names: turns of 20 to 45 degrees, a disc, 4 cm up and down, about 1 m long.
+    """A maze of about 1 m with every element that the paper names: turns of 20 to 45 degrees, a disc, 4 cm up and down.
 
     Returns:
         The layout.
 
     Source:
-        Paper, section "Maze Sliding"; the paper gives ranges, the order is ours.
+        Paper, section "Maze Sliding". The paper gives the ranges; the order of the elements is our choice.
     """
     degrees = math.radians
     return MazeLayout(
@@ -189,14 +190,14 @@ def _segment(part: Any) -> Segment:
     kind = part.get("kind") if isinstance(part, Mapping) else None
     if not isinstance(kind, str) or kind not in _KINDS:
         raise ValueError(f"segment {part} has kind {kind!r}; expected one of {sorted(_KINDS)}.")
-    return _built(_KINDS[kind], {name: value for name, value in part.items() if name != "kind"})
+    return _construct(_KINDS[kind], {name: value for name, value in part.items() if name != "kind"})
 
 
-def _built(kind: type[Any], data: Mapping[str, Any]) -> Any:
+def _construct(kind: type[Any], data: Mapping[str, Any]) -> Any:
     known = [field.name for field in fields(kind)]
     unknown = sorted(set(data) - set(known))
     if unknown:
-        raise ValueError(f"{kind.__name__} has no {', '.join(unknown)}; expected names out of {known}.")
+        raise ValueError(f"{kind.__name__} has no attribute {', '.join(unknown)}; expected names from {known}.")
     try:
         return kind(**data)
     except TypeError as error:

@@ -1,33 +1,36 @@
-"""Mazes and straight corridors drawn at random, always such that they can be built."""
+"""Random mazes and straight corridors that the arm can reach and drive through."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ppt_rl.arms import PANDA, Arm
-from ppt_rl.arms.arm import Limits
-from ppt_rl.envs.maze.geometry import build_corridor, check_corridor
+from ppt_rl.envs.maze.feasibility import check_corridor
+from ppt_rl.envs.maze.geometry import build_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Segment, Straight, Turn
+from ppt_rl.functional.checks import require_ranges
 
 __all__ = ["MazeRanges", "StraightRanges", "random_maze", "random_straight"]
 
+#: Layouts that are drawn before the ranges count as impossible.
 _TRIES = 2000
 
 
 @dataclass(frozen=True)
 class StraightRanges:
-    """Ranges of the straight corridors of training, drawn from uniformly.
+    """Ranges of the straight corridors used for training; each quantity is drawn uniformly.
 
     Attributes:
-        length: [m].
-        width: [m].
-        friction: of walls and floor on the tool [-].
-        height: of the floor above the table [m].
-        x: of the middle [m].
-        y: of the middle [m].
+        length: length of the corridor [m].
+        width: distance between the walls [m].
+        friction: friction coefficient between the tool and walls or floor [-].
+        height: height of the floor above the table [m].
+        x: x of the corridor's middle [m].
+        y: y of the corridor's middle [m].
     """
 
     length: tuple[float, float] = (0.16, 0.26)
@@ -38,24 +41,27 @@ class StraightRanges:
     y: tuple[float, float] = (-0.25, 0.25)
 
     def __post_init__(self) -> None:
-        """Refuse empty ranges."""
-        _require_ranges(self)
+        """Check that no range is empty."""
+        require_ranges(self)
 
 
 @dataclass(frozen=True)
 class MazeRanges:
-    """Ranges of the mazes of the test, drawn from uniformly (paper, section "Maze Sliding").
+    """Ranges of the mazes used for testing; each quantity is drawn uniformly.
 
     Attributes:
-        length: of all segments together, a disc with its diameter [m].
-        width: [m].
-        friction: of walls and floor on the tool [-].
-        turn: size of a turn, to either side [rad].
-        turns: number of turns, both ends included.
-        rise: of each ramp; one goes up, a later one down [m].
-        discs: number of discs, both ends included.
+        length: total length of the segments; a disc counts with its diameter [m].
+        width: distance between the walls [m].
+        friction: friction coefficient between the tool and walls or floor [-].
+        turn: angle of a turn, to the left or to the right [rad].
+        turns: number of turns, bounds included.
+        rise: height of the two ramps, of which the first leads up and the second down [m].
+        discs: number of discs, bounds included.
         disc: diameter of a disc [m].
-        disc_angle: turn within a disc, to either side [rad].
+        disc_angle: change of direction in a disc, to the left or to the right [rad].
+
+    Source:
+        Paper, section "Maze Sliding".
     """
 
     length: tuple[float, float] = (0.9, 1.1)
@@ -69,72 +75,85 @@ class MazeRanges:
     disc_angle: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Refuse empty ranges."""
-        _require_ranges(self)
-
-
-def _require_ranges(ranges: StraightRanges | MazeRanges) -> None:
-    for name, (low, high) in vars(ranges).items():
-        if not low <= high:
-            raise ValueError(f"{type(ranges).__name__}.{name} is ({low}, {high}); expected low <= high.")
+        """Check that no range is empty."""
+        require_ranges(self)
 
 
 def random_straight(rng: np.random.Generator, ranges: StraightRanges | None = None, arm: Arm = PANDA) -> MazeLayout:
-    """A straight corridor in a random place and direction. It cannot turn: it is one straight segment.
+    """Draw a straight corridor with a random position and direction; it consists of one straight segment.
 
     Args:
         rng: source of randomness.
-        ranges: what to draw from.
-        arm: the arm, in whose reach it must lie.
+        ranges: ranges to draw from; None takes the defaults.
+        arm: the arm that must reach the corridor.
 
     Returns:
-        The layout, which can be built.
+        A layout that passes :func:`~ppt_rl.envs.maze.feasibility.check_corridor`.
 
     Raises:
         ValueError: if nothing within the ranges fits into the arm's reach.
     """
     ranges = StraightRanges() if ranges is None else ranges
-    for _ in range(_TRIES):
-        length, heading = rng.uniform(*ranges.length), rng.uniform(-math.pi, math.pi)
-        way = 0.5 * length * np.asarray([math.cos(heading), math.sin(heading)])
-        start = np.asarray([rng.uniform(*ranges.x), rng.uniform(*ranges.y)]) - way
-        layout = MazeLayout(
-            (Straight(length),),
-            width=rng.uniform(*ranges.width),
-            friction=rng.uniform(*ranges.friction),
-            start=(float(start[0]), float(start[1])),
-            heading=heading,
-            height=rng.uniform(*ranges.height),
-        )
-        if _can_be_built(layout, arm.reach):
-            return layout
-    raise ValueError(f"no straight corridor within {ranges} fits into the arm's reach; widen the ranges.")
+    return _first_feasible(lambda: _draw_straight(rng, ranges), arm, ranges)
 
 
 def random_maze(rng: np.random.Generator, ranges: MazeRanges | None = None, arm: Arm = PANDA) -> MazeLayout:
-    """A maze with turns, ramps up and down and discs in random order and place.
+    """Draw a maze with turns, discs, a ramp up and a ramp down in random order.
 
     Args:
         rng: source of randomness.
-        ranges: what to draw from.
-        arm: the arm, in whose reach it must lie.
+        ranges: ranges to draw from; None takes the defaults.
+        arm: the arm that must reach the maze.
 
     Returns:
-        The layout, which can be built.
+        A layout that passes :func:`~ppt_rl.envs.maze.feasibility.check_corridor`.
 
     Raises:
         ValueError: if nothing within the ranges fits into the arm's reach.
     """
     ranges = MazeRanges() if ranges is None else ranges
+    return _first_feasible(lambda: _draw_maze(rng, ranges), arm, ranges)
+
+
+def _first_feasible(draw: Callable[[], MazeLayout | None], arm: Arm, ranges: StraightRanges | MazeRanges) -> MazeLayout:
+    """Draw layouts until one is feasible."""
     for _ in range(_TRIES):
-        layout = _candidate(rng, ranges)
-        if layout is not None and _can_be_built(layout, arm.reach):
+        layout = draw()
+        if layout is not None and _is_feasible(layout, arm):
             return layout
-    raise ValueError(f"no maze within {ranges} fits into the arm's reach; widen the ranges, or make it shorter.")
+    raise ValueError(
+        f"none of {_TRIES} layouts within {ranges} fits into the reach of {arm.name}; widen the ranges, or reduce the "
+        "length."
+    )
 
 
-def _candidate(rng: np.random.Generator, ranges: MazeRanges) -> MazeLayout | None:
-    """Corners in random order, straights between them of random share in the length, two of them ramps."""
+def _is_feasible(layout: MazeLayout, arm: Arm) -> bool:
+    try:
+        check_corridor(build_corridor(layout), layout, arm.reach)
+    except ValueError:
+        return False
+    return True
+
+
+def _draw_straight(rng: np.random.Generator, ranges: StraightRanges) -> MazeLayout:
+    length, heading = rng.uniform(*ranges.length), rng.uniform(-math.pi, math.pi)
+    half = 0.5 * length * np.asarray([math.cos(heading), math.sin(heading)])
+    start = np.asarray([rng.uniform(*ranges.x), rng.uniform(*ranges.y)]) - half
+    return MazeLayout(
+        (Straight(length),),
+        width=rng.uniform(*ranges.width),
+        friction=rng.uniform(*ranges.friction),
+        start=(float(start[0]), float(start[1])),
+        heading=heading,
+        height=rng.uniform(*ranges.height),
+    )
+
+
+def _draw_maze(rng: np.random.Generator, ranges: MazeRanges) -> MazeLayout | None:
+    """Turns and discs in random order, with straights of random length between them, of which two are ramps.
+
+    None if the straights would be too short.
+    """
     turns, discs = (int(rng.integers(low, high + 1)) for low, high in (ranges.turns, ranges.discs))
     corners: list[Segment] = [Turn(_signed(rng, ranges.turn)) for _ in range(turns)]
     corners += [Disc(rng.uniform(*ranges.disc), _signed(rng, ranges.disc_angle)) for _ in range(discs)]
@@ -144,7 +163,7 @@ def _candidate(rng: np.random.Generator, ranges: MazeRanges) -> MazeLayout | Non
     up, down = int(ramps.min()), int(ramps.max())
     rise = rng.uniform(*ranges.rise)
     rises = {up: rise, down: -rise} if up != down else {}
-    # A ramp needs level ends and a run; what is left of the length goes to the straights by random shares.
+    # Every straight gets the least length that it needs; the rest of the length is shared out at random.
     least = np.full(count, 0.06)
     for i, height in rises.items():
         least[i] = 0.07 + abs(height) / math.tan(math.radians(20))
@@ -157,7 +176,7 @@ def _candidate(rng: np.random.Generator, ranges: MazeRanges) -> MazeLayout | Non
     for i, corner in enumerate(corners, start=1):
         segments += [corner, Straight(float(lengths[i]), rises.get(i, 0.0))]
     turned = sum(corner.angle for corner in corners if not isinstance(corner, Straight))
-    side = rng.choice((-1.0, 1.0))  # from the right to the left of the robot, or back
+    side = rng.choice((-1.0, 1.0))  # +1 leads from the robot's right to its left, -1 back
     heading = side * (math.pi / 2) - 0.5 * turned + rng.uniform(-0.4, 0.4)
     return MazeLayout(
         tuple(segments),
@@ -171,11 +190,3 @@ def _candidate(rng: np.random.Generator, ranges: MazeRanges) -> MazeLayout | Non
 
 def _signed(rng: np.random.Generator, sizes: tuple[float, float]) -> float:
     return float(rng.choice((-1.0, 1.0)) * rng.uniform(*sizes))
-
-
-def _can_be_built(layout: MazeLayout, reach: Limits) -> bool:
-    try:
-        check_corridor(build_corridor(layout), layout, reach)
-    except ValueError:
-        return False
-    return True

@@ -1,4 +1,4 @@
-"""The maze scene: the arm with its cylinder, and walls and floor whose places are written for every environment."""
+"""The maze scene: the arm with its cylinder, and boxes that become the walls and floor of each environment's maze."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from ppt_rl.envs.models.table import table_scene
 
 __all__ = ["MAX_FACES", "MAX_FLOORS", "check_pieces", "maze_scene", "write_corridor"]
 
-#: Pieces in every compiled maze, used or not: so mazes differ in numbers only, and nothing is compiled anew.
+#: Number of wall and floor boxes in the compiled model, used or not. All mazes share one model and differ in numbers
+#: only, so a new maze needs no compilation.
 MAX_FACES, MAX_FLOORS = 48, 28
 #: Thickness of the floor, and of the walls [m].
 _SLAB, _WALL = 0.01, 0.01
-#: Impedance of a contact, from nothing at first touch to all within 2 mm: a tool that is pressed on lightly then rests,
-#: where a contact that is stiff from the start lets it hop with the physics' time step.
+#: MuJoCo's ``solimp`` of a contact: zero impedance at first touch, almost full impedance 2 mm deeper. With it a lightly
+#: pressed tool rests on the floor; with a contact that is stiff from the start it bounces at the physics' time step.
 _SOFT = (0.0, 0.95, 0.002)
-#: Where unused pieces are, far under the table, and their half size [m].
-_AWAY, _TINY = (0.0, 0.0, -5.0), 1e-3
+#: Position [m], orientation [-] and half size [m] of unused boxes, far below the table.
+_UNUSED = ((0.0, 0.0, -5.0), (1.0, 0.0, 0.0, 0.0), (1e-3,) * 3)
 
 
 def maze_scene(arm: Arm, tool: Tool = CYLINDER, *, physics_dt: float = 0.0005) -> Any:
-    """MJCF of the maze scene, its pieces still unused: :func:`write_corridor` places them.
+    """MJCF of the maze scene with all boxes unused; :func:`write_corridor` places them.
 
-    Contacts are declared pair by pair, tool against piece: only these are looked for, and each has its own friction.
+    Contacts are declared as pairs of the tool and a box: MuJoCo looks for no other ones, and each has its own friction.
 
     Args:
         arm: the arm.
@@ -39,13 +40,14 @@ def maze_scene(arm: Arm, tool: Tool = CYLINDER, *, physics_dt: float = 0.0005) -
         A ``dm_control.mjcf.RootElement``.
     """
     root = table_scene(arm, tool, physics_dt=physics_dt)
+    position, _, size = _UNUSED
     for kind, count, colour in (
         ("wall", MAX_FACES, [0.35, 0.50, 0.62, 0.75]),
         ("floor", MAX_FLOORS, [0.88, 0.86, 0.80, 1.0]),
     ):
         for index in range(count):
             root.worldbody.add(
-                "geom", name=f"{kind}{index}", type="box", size=[_TINY] * 3, pos=_AWAY, rgba=colour,
+                "geom", name=f"{kind}{index}", type="box", size=size, pos=position, rgba=colour,
                 contype=8, conaffinity=0, group=2,
             )  # fmt: skip
             root.contact.add(
@@ -55,13 +57,13 @@ def maze_scene(arm: Arm, tool: Tool = CYLINDER, *, physics_dt: float = 0.0005) -
 
 
 def check_pieces(corridor: Corridor) -> None:
-    """Refuse a maze that has more pieces than the compiled scene.
+    """Raise if a maze has more pieces than the compiled model has boxes.
 
     Args:
-        corridor: the maze.
+        corridor: geometry of the maze.
 
     Raises:
-        ValueError: if it has more walls or floors.
+        ValueError: if it has too many walls or floors.
     """
     for kind, pieces, room in (("wall", corridor.faces, MAX_FACES), ("floor", corridor.floors, MAX_FLOORS)):
         if len(pieces) > room:
@@ -73,11 +75,11 @@ def write_corridor(model: Any, corridor: Corridor, friction: float) -> None:
 
     Args:
         model: ``mujoco.MjModel``, changed in place.
-        corridor: the maze.
-        friction: of walls and floor on the tool [-].
+        corridor: geometry of the maze.
+        friction: friction coefficient between the tool and walls or floor [-].
 
     Raises:
-        ValueError: if the maze has more pieces than the model.
+        ValueError: if the maze has more pieces than the model has boxes.
     """
     check_pieces(corridor)
     pieces = {"wall": [_wall(face) for face in corridor.faces], "floor": [_slab(floor) for floor in corridor.floors]}
@@ -85,43 +87,43 @@ def write_corridor(model: Any, corridor: Corridor, friction: float) -> None:
         first = model.geom(f"{kind}0").id
         for index in range(room):
             used = index < len(pieces[kind])
-            place, turn, size = pieces[kind][index] if used else (_AWAY, (1.0, 0.0, 0.0, 0.0), (_TINY,) * 3)
-            _write_box(model, first + index, place, turn, size)
+            _write_box(model, first + index, *(pieces[kind][index] if used else _UNUSED))
     model.pair_friction[:, :2] = friction
 
 
-def _write_box(model: Any, geom: int, place: Any, turn: Any, size: Any) -> None:
-    """Place a box, with what the compiler derives from its size and place for the search of contacts."""
-    model.geom_pos[geom], model.geom_quat[geom], model.geom_size[geom] = place, turn, size
+def _write_box(model: Any, geom: int, position: Any, orientation: Any, size: Any) -> None:
+    """Place a box, and update what the compiler derives from its size and pose for collision detection."""
+    model.geom_pos[geom], model.geom_quat[geom], model.geom_size[geom] = position, orientation, size
     model.geom_rbound[geom] = np.linalg.norm(size)
     model.geom_aabb[geom] = [0.0, 0.0, 0.0, *size]
     model.geom_sameframe[geom] = 0
 
 
 def _wall(face: Face) -> tuple[Array, tuple[float, ...], Array]:
-    """Place, orientation and half sizes of the box behind a face, from under the table's top up."""
-    way = face.end - face.begin
-    length = float(np.linalg.norm(way))
-    way = way / length
-    normal = face.outward * np.asarray([-way[1], way[0]])
-    begin, end = face.begin - face.over_begin * way, face.end + face.over_end * way
+    """Position, orientation and half sizes of the box behind a face, from below the table top to the wall's top."""
+    begin, end, direction = _extended(face)
+    normal = face.outward * np.asarray([-direction[1], direction[0]])
     middle = 0.5 * (begin + end) + 0.5 * _WALL * normal
     low = -_SLAB
     size = np.asarray([0.5 * float(np.linalg.norm(end - begin)), 0.5 * _WALL, 0.5 * (face.top - low)])
-    half = 0.5 * math.atan2(way[1], way[0])
+    half = 0.5 * math.atan2(direction[1], direction[0])
     return np.asarray([*middle, 0.5 * (face.top + low)]), (math.cos(half), 0.0, 0.0, math.sin(half)), size
 
 
 def _slab(floor: Floor) -> tuple[Array, tuple[float, ...], Array]:
-    """Place, orientation and half sizes of the box under a piece of floor; its top runs from begin to end."""
-    way = floor.end - floor.begin
-    length = float(np.linalg.norm(way))
-    way = way / length
-    begin, end = floor.begin - floor.over_begin * way, floor.end + floor.over_end * way
-    yaw, pitch = math.atan2(way[1], way[0]), -math.asin(float(np.clip(way[2], -1.0, 1.0)))
+    """Position, orientation and half sizes of the box under a piece of floor; its top runs from begin to end."""
+    begin, end, direction = _extended(floor)
+    yaw, pitch = math.atan2(direction[1], direction[0]), -math.asin(float(np.clip(direction[2], -1.0, 1.0)))
     # Rz(yaw) Ry(pitch)
     cy, sy, cp, sp = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
     up = np.asarray([math.sin(pitch) * math.cos(yaw), math.sin(pitch) * math.sin(yaw), math.cos(pitch)])
     middle = 0.5 * (begin + end) - 0.5 * _SLAB * up
     size = np.asarray([0.5 * float(np.linalg.norm(end - begin)), floor.half_width, 0.5 * _SLAB])
     return middle, (cy * cp, -sy * sp, cy * sp, sy * cp), size
+
+
+def _extended(piece: Face | Floor) -> tuple[Array, Array, Array]:
+    """Begin and end of a piece including its extensions [m], and the unit vector from begin to end."""
+    edge = piece.end - piece.begin
+    direction = edge / float(np.linalg.norm(edge))
+    return piece.begin - piece.over_begin * direction, piece.end + piece.over_end * direction, direction

@@ -1,6 +1,7 @@
 """Box pushing: scene, episodes, rewards and environment."""
 
-from ppt_rl.envs.push.env import PushEnv, PushRewards
+from ppt_rl.envs.push.env import PushEnv
 from ppt_rl.envs.push.episode import PushRandomisation
+from ppt_rl.envs.push.rewards import PushRewards
 
 __all__ = ["PushEnv", "PushRandomisation", "PushRewards"]

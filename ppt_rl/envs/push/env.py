@@ -1,9 +1,8 @@
-"""Box pushing: a paddle moves a box over the table to a goal."""
+"""Box pushing: a paddle pushes a box over the table to a goal."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,65 +11,47 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from ppt_rl.envs.arm import ArmEnv, Rows
-from ppt_rl.envs.push.episode import BOXES, PushEpisodes, PushRandomisation, draw_episodes
+from ppt_rl.envs.push import rewards as reward
+from ppt_rl.envs.push.episode import BOXES, PushDistances, PushEpisodes, PushRandomisation, draw_episodes
+from ppt_rl.envs.push.rewards import PushRewards
 from ppt_rl.envs.push.scene import PUSH_BOX, push_scene
 from ppt_rl.envs.readings import sensor_span
+from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 
-__all__ = ["PushEnv", "PushRewards"]
+__all__ = ["PushEnv"]
 
-#: Names of the four reward groups (paper, section "Problem Statement").
-REWARD_GROUPS = ("progress", "free_space", "contact", "power")
-#: A box counts as flat when its vertical axis is within 10 degrees and its centre within 5 mm of lying [-], [m].
+#: A box lies flat if the cosine of its tilt is above the first (10 degrees) and its height is off by less than the
+#: second [-], [m].
 _FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
-#: Yaw of the paddle behind the box, as a share of the push's: the box stands square to the table, give or take, so in a
-#: steep push a paddle square to the push would meet a corner [-].
+#: Yaw of the paddle behind the box, as a share of the yaw of the push. The box is roughly aligned with the table, so in
+#: an oblique push a paddle at right angles to the push would hit a corner of the box [-].
 _APPROACH_YAW = 0.7
-
-
-@dataclass(frozen=True)
-class PushRewards:
-    """Weights of the four reward groups; each group is its own entry under ``reward_terms``.
-
-    Attributes:
-        progress: of the box's way to the goal, whole way = 1 [1].
-        precision: at the end, times ``exp(-distance / 2 cm)`` [1].
-        success: at the end, if the task is done [1].
-        free_space: before first touch, of the tool's way to the box, whole way = 1 [1].
-        contact: penalty on contact force above ``force_limit`` [1/(N s)].
-        force_limit: [N].
-        power: penalty on measured work, in or out [1/J].
-    """
-
-    progress: float = 1.0
-    precision: float = 1.0
-    success: float = 1.0
-    free_space: float = 0.2
-    contact: float = 0.2
-    force_limit: float = 5.0
-    power: float = 0.1
+#: Distance between paddle and box at the via-point behind the box [m].
+_APPROACH_GAP = 0.02
 
 
 class PushEnv(ArmEnv):
-    """Push a box to a goal within the horizon and leave it there, flat.
+    """Push a box to a goal before the episode ends, and leave it lying flat.
 
-    Success is judged at the end: the box's centre within ``success_radius`` of the goal, and flat. Adds to the
-    observations of :class:`ArmEnv`:
+    Success is judged at the end of the episode: the centre of the box must be within ``success_radius`` of the goal,
+    and the box must lie flat. The observations are those of :class:`ArmEnv` and
 
-    * ``box_pose`` 7 [m, -]: privileged, for critics; a policy for deployment leaves it out;
-    * ``box_start`` 2 and ``goal`` 2 [m], ``box_size`` 1 [m]: what is known at test time, fixed over an episode;
-    * ``via_phase`` 3, ``via_position`` (3, 3), ``via_cov`` (3, 3, 3), ``via_mask`` 3: via-points in (x, y, yaw) for the
-      reference: start of the tool, behind the box, goal minus the offset between tool and box centre;
-    * ``progress`` 1 in [0, 1] and ``success`` 1 (bool), and the reward groups under ``reward_terms``.
+    * ``box_pose`` 7 [m, -]: privileged, for critics; a policy for deployment does not read it;
+    * ``box_start`` 2 [m], ``goal`` 2 [m] and ``box_size`` 1 [m]: known at test time, constant in an episode;
+    * ``via_phase`` 3, ``via_position`` (3, 3), ``via_cov`` (3, 3, 3), ``via_mask`` 3: via-points (x, y, yaw) of a
+      reference push: start of the tool, behind the box, and touching the box at the goal;
+    * ``progress`` 1 in [0, 1]: share of the distance to the goal that is covered; ``success`` 1 (bool);
+    * ``reward_terms``: the reward groups of :mod:`ppt_rl.envs.push.rewards`, whose sum is the reward.
 
-    MuJoCo has one friction coefficient per contact: it takes the kinetic one, static friction is not modelled.
+    MuJoCo has one friction coefficient per contact. It is the kinetic one; static friction is not modelled.
 
     Args:
         num_envs: number of environments.
-        box_sizes: edges of the boxes to draw from [m]: 0.06, 0.08, or both.
-        randomisation: ranges of what is drawn.
-        rewards: weights of the reward groups.
-        success_radius: [m].
+        box_sizes: edge lengths to draw from [m]: 0.06, 0.08, or both.
+        randomisation: ranges of what is drawn for each episode.
+        rewards: weights of the reward terms.
+        success_radius: largest distance from box to goal that counts as success [m].
         **kwargs: as for :class:`ArmEnv`.
 
     Raises:
@@ -97,9 +78,9 @@ class PushEnv(ArmEnv):
     ) -> None:
         unknown = [size for size in box_sizes if size not in BOXES]
         if unknown or not box_sizes:
-            raise ValueError(f"box_sizes are {tuple(box_sizes)}; expected edges out of {tuple(BOXES)} m.")
+            raise ValueError(f"box_sizes are {tuple(box_sizes)}; expected one or more of {tuple(BOXES)} m.")
         if not success_radius > 0:
-            raise ValueError(f"success_radius is {success_radius}; expected a length above 0 m.")
+            raise ValueError(f"success_radius is {success_radius}; expected a distance above 0 m.")
         self.box_sizes = tuple(box_sizes)
         self.randomisation = PushRandomisation() if randomisation is None else randomisation
         self.rewards = PushRewards() if rewards is None else rewards
@@ -116,10 +97,6 @@ class PushEnv(ArmEnv):
     def _prepare(self, model: Any) -> None:
         self._box_slice = sensor_span(model, "box_position", "box_orientation")
         self._episode = PushEpisodes(self.num_envs, self.dtype)
-        weights, dt = self.rewards, self.control_dt
-        # Per group: progress and free space are shares of a way, contact and power are rates.
-        rates = [weights.progress, weights.free_space, -weights.contact * dt, -weights.power * dt]
-        self._weights = torch.tensor(rates, dtype=self.dtype)
 
     def _begin(self, rows: Rows) -> np.ndarray:
         drawn = draw_episodes(self._rng, len(rows), self.randomisation, self.box_sizes)
@@ -128,17 +105,10 @@ class PushEnv(ArmEnv):
             self._write_parameters(self.engine.models[row], int(row))
         pose = torch.tensor(self.start_pose, dtype=torch.float64).repeat(len(rows), 1)
         pose[:, :2] = torch.from_numpy(drawn["tool"])
-        arm = self._arm_position(pose).numpy()
-        half = 0.5 * drawn["yaw"]
-        size = drawn["size"]
-        box = [
-            drawn["box"],
-            0.5 * size[:, None],
-            np.cos(half)[:, None],
-            np.zeros((len(rows), 2)),
-            np.sin(half)[:, None],
-        ]
-        return np.concatenate([arm, *box], -1)
+        half_yaw = 0.5 * drawn["yaw"][:, None]
+        height, zeros = 0.5 * drawn["size"][:, None], np.zeros((len(rows), 2))
+        box = [drawn["box"], height, np.cos(half_yaw), zeros, np.sin(half_yaw)]  # position and quaternion
+        return np.concatenate([self._arm_position(pose).numpy(), *box], -1)
 
     def _write_parameters(self, model: Any, row: int) -> None:
         half, mass, friction = (float(self._episode.physical[key][row]) for key in ("half", "mass", "friction"))
@@ -152,70 +122,82 @@ class PushEnv(ArmEnv):
     def _task_reset(self, rows: Tensor) -> dict[str, Any]:
         episode, box = self._episode, self._sensors[:, self._box_slice]
         tool = self._sensors[:, self._readings.slices["pose"]]
-        ways = self._ways(box, tool)
-        episode.ways[rows], episode.first_ways[rows] = ways[rows], ways[rows].clamp_min(1e-3)
-        episode.touched[rows] = False
-        episode.via_position[rows] = self._via_points(tool)[rows]
-        terms = torch.zeros(self.num_envs, len(REWARD_GROUPS), dtype=self.dtype)
-        return self._task_observation(box, terms, ways, self._success(box, ways, self._elapsed >= self.horizon))
+        distances = self._distances(box, tool)
+        episode.begin(rows, distances)
+        episode.replace(rows, via_position=self._via_points(tool)[rows])
+        success = self._success(box, distances, self._elapsed >= self.horizon)
+        return self._task_observation(box, zero_rewards(self.num_envs, self.dtype), distances, success)
 
-    def _success(self, box: Tensor, ways: Tensor, ended: Tensor) -> Tensor:
+    def _success(self, box: Tensor, distances: PushDistances, ended: Tensor) -> Tensor:
         if not bool(ended.any()):
             return torch.zeros_like(ended)
-        return ended & (ways[:, :1] < self.success_radius) & self._is_flat(box)
+        return ended & (distances.box_to_goal < self.success_radius) & self._is_flat(box)
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         episode, box = self._episode, self._sensors[:, self._box_slice]
-        ways = self._ways(box, observation["pose"])
-        success = self._success(box, ways, ended)
-        terms = self._reward_terms(observation, ways, success, ended)
-        episode.ways = ways
-        episode.touched = episode.touched | (ways[:, :1] < episode.first_ways[:, :1] - 1e-3)
-        task = self._task_observation(box, terms, ways, success)
-        task["reward"] = terms.sum(-1, keepdim=True)
-        return task
+        distances = self._distances(box, observation["pose"])
+        success = self._success(box, distances, ended)
+        terms = self._reward_terms(observation, distances, success, ended)
+        episode.advance(distances)
+        return self._task_observation(box, terms, distances, success) | {"reward": total_reward(terms)}
 
     # -- reward -------------------------------------------------------------------------------------------------------
 
-    def _reward_terms(self, observation: dict[str, Any], ways: Tensor, success: Tensor, ended: Tensor) -> Tensor:
-        """``(num_envs, 4)`` rewards of the groups, in the order of :data:`REWARD_GROUPS`."""
-        episode, weights = self._episode, self.rewards
-        wrench = observation["wrench"]
-        gained = (episode.ways - ways) / episode.first_ways
-        excess = (torch.linalg.vector_norm(wrench[:, :3], dim=-1, keepdim=True) - weights.force_limit).clamp_min(0.0)
-        power = (wrench * observation["twist"]).sum(-1, keepdim=True).abs()  # [W]
-        terms = torch.cat([gained, excess, power], -1) * self._weights
-        terms[:, 1:2] *= ~episode.touched
+    def _reward_terms(
+        self, observation: dict[str, Any], distances: PushDistances, success: Tensor, ended: Tensor
+    ) -> dict[str, Tensor]:
+        """``(num_envs, 1)`` reward of each group."""
+        episode, weights, dt = self._episode, self.rewards, self.control_dt
+        wrench, twist = observation["wrench"], observation["twist"]
+        before, first = episode.previous, episode.initial
+        progress = reward.progress(
+            weights, distance=distances.box_to_goal, previous=before.box_to_goal, initial=first.box_to_goal
+        )
         if bool(ended.any()):
-            precision = weights.precision * torch.exp(-ways[:, :1] / self.success_radius)
-            terms[:, :1] += (precision + weights.success * success) * ended
-        return terms
+            progress += reward.arrival(
+                weights, distance=distances.box_to_goal, success=success, ended=ended, radius=self.success_radius
+            )
+        approach = reward.free_space(
+            weights, distance=distances.tool_to_box, previous=before.tool_to_box, initial=first.tool_to_box,
+            touched=episode.touched,
+        )  # fmt: skip
+        force = torch.linalg.vector_norm(wrench[:, :3], dim=-1, keepdim=True)
+        return {
+            "progress": progress,
+            "free_space": approach,
+            "contact": reward.contact(weights, force=force, dt=dt),
+            "power": work_penalty(weights.power, wrench=wrench, twist=twist, dt=dt),
+        }
 
-    def _ways(self, box: Tensor, tool: Tensor) -> Tensor:
-        """``(num_envs, 2)`` distances in the plane, box to goal and tool to box [m]."""
-        plane = torch.stack([self._episode.goal, tool[:, :2]], 1) - box[:, None, :2]
-        return torch.linalg.vector_norm(plane, dim=-1)
+    def _distances(self, box: Tensor, tool: Tensor) -> PushDistances:
+        norm = torch.linalg.vector_norm
+        return PushDistances(
+            box_to_goal=norm(self._episode.goal - box[:, :2], dim=-1, keepdim=True),
+            tool_to_box=norm(tool[:, :2] - box[:, :2], dim=-1, keepdim=True),
+        )
 
     def _is_flat(self, box: Tensor) -> Tensor:
         x, y = box[:, 4:5], box[:, 5:6]
-        upright = 1 - 2 * (x * x + y * y) > _FLAT_COSINE  # z axis of the box against the world's
+        upright = 1 - 2 * (x * x + y * y) > _FLAT_COSINE  # cosine of the angle between the box's and the world's z axis
         return upright & ((box[:, 2:3] - self._episode.half).abs() < _FLAT_HEIGHT)
 
     # -- observations -------------------------------------------------------------------------------------------------
 
     def _via_points(self, tool: Tensor) -> Tensor:
-        """``(num_envs, 3, 3)`` via-points (x, y, yaw): where the tool starts, behind the box, and at the goal."""
+        """``(num_envs, 3, 3)`` via-points (x, y, yaw): start of the tool, behind the box, at the goal [m, rad]."""
         episode = self._episode
-        way = episode.goal - episode.box_start
-        direction = way / way.norm(dim=-1, keepdim=True)
+        push = episode.goal - episode.box_start
+        direction = push / push.norm(dim=-1, keepdim=True)
         yaw = torch.atan2(direction[:, 1:], direction[:, :1])
-        offset = episode.half + self.tool.half_thickness  # box centre to bar centre in touch [m]
+        offset = episode.half + self.tool.half_thickness  # from the box's centre to the bar's when they touch [m]
         start = torch.cat([tool[:, :2], torch.zeros_like(yaw)], -1)
-        behind = torch.cat([episode.box_start - (offset + 0.02) * direction, _APPROACH_YAW * yaw], -1)
+        behind = torch.cat([episode.box_start - (offset + _APPROACH_GAP) * direction, _APPROACH_YAW * yaw], -1)
         end = torch.cat([episode.goal - offset * direction, yaw], -1)
         return torch.stack([start, behind, end], 1)
 
-    def _task_observation(self, box: Tensor, terms: Tensor, ways: Tensor, success: Tensor) -> dict[str, Any]:
+    def _task_observation(
+        self, box: Tensor, terms: dict[str, Tensor], distances: PushDistances, success: Tensor
+    ) -> dict[str, Any]:
         episode = self._episode
         return {
             "box_pose": box,
@@ -226,9 +208,9 @@ class PushEnv(ArmEnv):
             "via_position": episode.via_position,
             "via_cov": episode.via_cov,
             "via_mask": episode.via_mask,
-            "progress": (1 - ways[:, :1] / episode.first_ways[:, :1]).clamp(0.0, 1.0),
+            "progress": (1 - distances.box_to_goal / episode.initial.box_to_goal).clamp(0.0, 1.0),
             "success": success,
-            "reward_terms": dict(zip(REWARD_GROUPS, terms.split(1, -1), strict=True)),
+            "reward_terms": terms,
         }
 
     def _task_spec(self, make: SpecMaker) -> Composite:
@@ -236,5 +218,5 @@ class PushEnv(ArmEnv):
         return make.nest(
             box_pose=real(7), box_start=real(2), box_size=real(1), goal=real(2), via_phase=real(3),
             via_position=real(3, 3), via_cov=real(3, 3, 3), via_mask=flag(3), progress=real(1), success=flag(),
-            reward_terms=make.nest(**{name: real(1) for name in REWARD_GROUPS}),
+            reward_terms=reward_spec(make),
         )  # fmt: skip

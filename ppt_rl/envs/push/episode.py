@@ -1,36 +1,43 @@
-"""What a pushing episode is drawn from, and what an environment remembers of it."""
+"""Pushing episodes: what is drawn at random, and the state that an environment keeps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ppt_rl.envs.arm import Rows
+from ppt_rl.envs.episodes import Episodes
+from ppt_rl.functional.checks import require_ranges
 
-__all__ = ["BOXES", "PushEpisodes", "PushRandomisation", "draw_episodes"]
+__all__ = ["BOXES", "PushDistances", "PushEpisodes", "PushRandomisation", "draw_episodes"]
 
-#: Nominal boxes: edge [m] to mass [kg] (paper, section "Box Pushing").
+#: Nominal mass [kg] of a box by its edge length [m] (paper, section "Box Pushing").
 BOXES = {0.06: 0.050, 0.08: 0.080}
+
+#: Phases of the via-points [-], and their standard deviations in x, y [m] and yaw [rad].
+_VIA_PHASE = (0.0, 0.35, 1.0)
+_VIA_STD = ((1e-3, 1e-3, 1e-2), (5e-3, 5e-3, 3e-2), (1e-3, 1e-3, 1e-2))
 
 
 @dataclass(frozen=True)
 class PushRandomisation:
-    """Ranges of what is drawn for each episode, uniformly.
+    """Ranges of what is drawn for each episode; each quantity is drawn uniformly.
 
     Attributes:
-        friction: sliding friction of the box on table and paddle, the kinetic one [-].
+        friction: kinetic friction coefficient between the box and table or paddle [-].
         mass: factor on the nominal mass [-].
-        box_x: start of the box [m].
-        box_y: start of the box [m].
-        box_yaw: yaw of the box off the table's axes [rad].
-        goal_x: goal of the box's centre [m].
-        goal_y: goal of the box's centre [m].
-        tool_x: start of the tool [m].
-        tool_y: start of the tool [m].
+        box_x: x of the box at the start [m].
+        box_y: y of the box at the start [m].
+        box_yaw: yaw of the box relative to the table at the start [rad].
+        goal_x: x of the goal of the box's centre [m].
+        goal_y: y of the goal of the box's centre [m].
+        tool_x: x of the tool at the start [m].
+        tool_y: y of the tool at the start [m].
     """
 
     friction: tuple[float, float] = (0.20, 0.60)
@@ -44,77 +51,89 @@ class PushRandomisation:
     tool_y: tuple[float, float] = (-0.02, 0.02)
 
     def __post_init__(self) -> None:
-        """Refuse empty ranges."""
-        for name, (low, high) in vars(self).items():
-            if not low <= high:
-                raise ValueError(f"randomisation range {name} is ({low}, {high}); expected low <= high.")
+        """Check that no range is empty."""
+        require_ranges(self)
 
 
-#: Phases of the via-points, and how exactly they are meant, in x, y [m] and yaw [rad].
-_VIA_PHASE = (0.0, 0.35, 1.0)
-_VIA_STD = ((1e-3, 1e-3, 1e-2), (5e-3, 5e-3, 3e-2), (1e-3, 1e-3, 1e-2))
-
-
-@dataclass
-class PushEpisodes:
-    """What was drawn for each environment, and what the reward remembers.
+class PushDistances(NamedTuple):
+    """Distances on the map.
 
     Attributes:
-        num_envs: number of environments.
-        dtype: precision of the tensors.
-        physical: half edge [m], mass [kg] and friction [-] of each box.
+        box_to_goal: ``(B, 1)`` from the box's centre to the goal [m].
+        tool_to_box: ``(B, 1)`` from the end-effector point to the box's centre [m].
     """
 
-    num_envs: int
-    dtype: torch.dtype
-    physical: dict[str, np.ndarray] = field(init=False)
+    box_to_goal: Tensor
+    tool_to_box: Tensor
 
-    def __post_init__(self) -> None:
-        def zeros(*shape: int) -> Tensor:
-            return torch.zeros(self.num_envs, *shape, dtype=self.dtype)
 
-        self.physical = {name: np.zeros(self.num_envs) for name in ("half", "mass", "friction")}
+class PushEpisodes(Episodes):
+    """What was drawn for a batch of environments, and the distances that the rewards compare the next step with.
+
+    Args:
+        num_envs: number of environments.
+        dtype: precision of the tensors.
+    """
+
+    def __init__(self, num_envs: int, dtype: torch.dtype) -> None:
+        super().__init__(num_envs, dtype)
+        zeros = self.zeros
+        self.physical = {name: np.zeros(num_envs) for name in ("half", "mass", "friction")}  # [m], [kg], [-]
         self.half, self.box_start, self.goal = zeros(1), zeros(2), zeros(2)
-        self.ways, self.first_ways = zeros(2), zeros(2) + 1  # box to goal, tool to box
-        self.touched = torch.zeros(self.num_envs, 1, dtype=torch.bool)
-        self.via_phase = torch.tensor(_VIA_PHASE, dtype=self.dtype).repeat(self.num_envs, 1)
+        self.previous, self.initial = PushDistances(zeros(1), zeros(1)), PushDistances(zeros(1) + 1, zeros(1) + 1)
+        self.touched = torch.zeros(num_envs, 1, dtype=torch.bool)
+        self.via_phase = torch.tensor(_VIA_PHASE, dtype=dtype).repeat(num_envs, 1)
         self.via_position = zeros(3, 3)
-        self.via_cov = torch.tensor(_VIA_STD, dtype=self.dtype).square().diag_embed().repeat(self.num_envs, 1, 1, 1)
-        self.via_mask = torch.ones(self.num_envs, 3, dtype=torch.bool)
+        self.via_cov = torch.tensor(_VIA_STD, dtype=dtype).square().diag_embed().repeat(num_envs, 1, 1, 1)
+        self.via_mask = torch.ones(num_envs, 3, dtype=torch.bool)
 
     def write(self, rows: Rows, drawn: dict[str, np.ndarray]) -> None:
-        """Take over a draw. Observed tensors are replaced, not changed: earlier observations keep theirs."""
-        index = torch.from_numpy(rows)
-        self.physical["half"][rows] = 0.5 * drawn["size"]
-        self.physical["mass"][rows] = drawn["mass"]
-        self.physical["friction"][rows] = drawn["friction"]
-        for name, value in (
-            ("half", 0.5 * drawn["size"][:, None]),
-            ("box_start", drawn["box"]),
-            ("goal", drawn["goal"]),
-        ):
-            tensor = getattr(self, name).clone()
-            tensor[index] = torch.from_numpy(value).to(self.dtype)
-            setattr(self, name, tensor)
-        self.via_position = self.via_position.clone()
-        for name in ("ways", "first_ways", "touched"):
-            setattr(self, name, getattr(self, name).clone())
+        """Store what was drawn.
+
+        Args:
+            rows: indices of the environments.
+            drawn: a draw of :func:`draw_episodes`.
+        """
+        half = 0.5 * drawn["size"]
+        for name, value in (("half", half), ("mass", drawn["mass"]), ("friction", drawn["friction"])):
+            self.physical[name][rows] = value
+        self.replace(torch.from_numpy(rows), half=half[:, None], box_start=drawn["box"], goal=drawn["goal"])
+
+    def begin(self, rows: Tensor, distances: PushDistances) -> None:
+        """Measure the progress of some environments from where tool and box are now.
+
+        Args:
+            rows: indices of the environments.
+            distances: of all environments.
+        """
+        for previous, initial, now in zip(self.previous, self.initial, distances, strict=True):
+            previous[rows], initial[rows] = now[rows], now[rows].clamp_min(1e-3)
+        self.touched[rows] = False
+
+    def advance(self, distances: PushDistances) -> None:
+        """Remember the distances of a control step, for the rewards of the next one.
+
+        Args:
+            distances: of all environments. A box that has come 1 mm nearer to its goal counts as touched.
+        """
+        self.previous = distances
+        self.touched = self.touched | (distances.box_to_goal < self.initial.box_to_goal - 1e-3)
 
 
 def draw_episodes(
     rng: np.random.Generator, count: int, ranges: PushRandomisation, box_sizes: Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """Draw episodes.
+    """Draw episodes at random.
 
     Args:
         rng: source of randomness.
-        count: how many.
-        ranges: what to draw from.
-        box_sizes: edges of the boxes [m].
+        count: number of episodes.
+        ranges: ranges to draw from.
+        box_sizes: edge lengths of the boxes to draw from [m].
 
     Returns:
-        Arrays over the episodes by name: ``size`` [m], ``mass`` [kg], ``box``, ``goal``, ``tool`` (x, y) [m], ``yaw``
-        [rad], ``friction`` [-].
+        Arrays with one entry per episode: ``size`` [m], ``mass`` [kg], ``box``, ``goal`` and ``tool`` (x, y) [m],
+        ``yaw`` [rad], ``friction`` [-].
     """
 
     def uniform(low_high: tuple[float, float]) -> np.ndarray:

@@ -30,7 +30,7 @@ def _add_goal(world: Any) -> None:
 def _add_box(root: Any, half_size: float, mass: float) -> None:
     body = root.worldbody.add("body", name=PUSH_BOX, pos=[0.45, 0, half_size])
     body.add("freejoint", name=PUSH_BOX)
-    # The box's own friction rules its contacts with tool and table (priority), so one number randomises both.
+    # With its priority, the box's friction applies to its contacts with tool and table: one number randomises both.
     body.add(
         "geom", name=PUSH_BOX, type="box", size=[half_size] * 3, mass=mass, rgba=[0.86, 0.45, 0.20, 1],
         contype=0, conaffinity=5, priority=1, condim=3, friction=[0.4, 0.005, 0.0001],
@@ -47,8 +47,8 @@ def push_scene(
     Args:
         arm: the arm.
         tool: the pushing tool.
-        half_size: half edge of the box [m].
-        mass: of the box [kg].
+        half_size: half edge length of the box [m].
+        mass: mass of the box [kg].
         physics_dt: time step of the physics [s].
 
     Returns:

@@ -1,36 +1,25 @@
-"""What the maze recipes have in common: options, environments, networks, the prior, the hand-written baseline."""
+"""Options, task space and movement primitive of the maze recipes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import torch
-from torch import nn
-from torchrl.envs import TransformedEnv
 
-from ppt_rl.envs.maze import MazeEnv
-from ppt_rl.envs.maze.episode import MazeRewards
-from ppt_rl.envs.maze.layout import MazeLayout
-from ppt_rl.envs.maze.sampling import MazeRanges
+from ppt_rl.envs import MazeEnv, MazeRewards
+from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.metrics import MetricsConfig
-from ppt_rl.modules.actor_critic import Mirror
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
-from ppt_rl.tasks.config import TaskConfig, episode_metrics, make_engine_config
-from ppt_rl.training.ppo import PPOConfig
-from ppt_rl.training.recipe import make_actor_critic
+from ppt_rl.tasks.config import TaskConfig, episode_metrics
+from ppt_rl.training import PPOConfig
 
 __all__ = [
     "MAZE_AXES",
-    "MAZE_PRIVILEGED",
     "MazeConfig",
     "RecedingConfig",
     "StepWiseMazeConfig",
-    "make_maze_env",
-    "make_maze_policy",
     "make_maze_promp",
     "maze_metrics",
     "maze_space",
@@ -38,13 +27,7 @@ __all__ = [
 
 #: Task-space coordinates in the maze; with a heading they are ahead, left and up.
 MAZE_AXES = ("x", "y", "z")
-#: What a policy may know: proprioception and wrench, along its heading.
-_KNOWN = ("heading_twist", "heading_wrench")
-#: A maze and its mirror image are alike: factors of twist and wrench along the heading, and of ahead, left and up.
-_MIRRORED_TWIST, _MIRRORED_AXES = (1.0, -1.0, 1.0, -1.0, 1.0, -1.0), (1.0, -1.0, 1.0)
-#: Observations that exist in simulation only; no evaluated policy sees them.
-MAZE_PRIVILEGED = ("corridor_offset", "corridor_heading")
-#: How far the basis reaches beyond phase 0 and 1, so that a straight line has no ripple there, and its overlap.
+#: How far the basis reaches beyond phase 0 and 1, so that it can represent a straight line without ripple; its overlap.
 _MARGIN, _OVERLAP = 0.25, 0.7
 
 
@@ -54,12 +37,14 @@ class MazeConfig(TaskConfig):
 
     Attributes:
         training_duration: episode length in the straight corridors of training [s]; ``duration`` is that of the test.
-        posture_stiffness: of the arm's posture in the nullspace [N m/rad]: low, since the maze takes the arm far.
-        follower_speed: of the hand-written follower, which gives the demonstrations and is the baseline [m/s].
-        follower_lead: of its reference ahead of the tool [m].
+        posture_stiffness: stiffness of the arm's posture in the nullspace [N m/rad]; low, since the maze takes the arm
+            far from its home.
+        follower_speed: speed of the hand-written follower, which is the baseline and gives the demonstrations [m/s].
+        follower_lead: distance of its reference ahead of the tool [m].
         e_max: capacity of the tank [J].
-        cutoff: of the low-pass in the metrics of jerk and force [Hz].
-        depth: of the reference below the tool, which presses it on the floor [m].
+        cutoff: cutoff of the low-pass in the metrics of jerk and force [Hz].
+        depth: distance of the reference below the tool, which presses it on the floor [m].
+        layouts: JSON files of mazes to be judged in, taken in turn; with none, mazes are drawn at random.
     """
 
     run_dir: Path = Path("runs/maze")
@@ -73,9 +58,19 @@ class MazeConfig(TaskConfig):
     e_max: float = 3.0
     cutoff: float = 10.0
     depth: float = 0.006
+    layouts: tuple[Path, ...] = ()
     ppo: PPOConfig = field(
         default_factory=lambda: PPOConfig(total_control_steps=614_400, max_learning_rate=5e-4, gamma=0.998)
     )
+
+    def __post_init__(self) -> None:
+        """Refuse an impossible follower."""
+        require_positive("follower_speed", self.follower_speed, "m/s")
+
+    @property
+    def rewards(self) -> MazeRewards:
+        """Weights of the reward groups."""
+        return MazeRewards()
 
 
 @dataclass(frozen=True)
@@ -83,17 +78,17 @@ class RecedingConfig(MazeConfig):
     """Options of the maze recipes whose policy acts on ProMP weights.
 
     Attributes:
-        num_basis: basis functions of the ProMP for each of x, y and z.
-        promp_duration: of the primitive [s].
-        replan_steps: control steps between policy steps.
-        residual_ahead: how far a residual of 1 moves a weight ahead [m].
-        residual_left: to the left [m].
-        residual_up: upwards [m].
-        max_lead: how far ahead of the tool a primitive may begin [m].
-        max_slip: how much faster or slower than the tool it may begin across wall and floor [m/s].
-        replan_on_contact: whether a wall that is newly felt, or has turned, ends a chunk early.
+        num_basis: number of basis functions of the ProMP for each of x, y and z.
+        promp_duration: duration of the primitive [s].
+        replan_steps: control steps from one policy step to the next.
+        residual_ahead: change of a weight ahead per unit of residual [m].
+        residual_left: change of a weight to the left per unit of residual [m].
+        residual_up: change of a weight upwards per unit of residual [m].
+        max_lead: largest distance ahead of the tool at which a primitive may begin [m].
+        max_slip: largest difference of the primitive's initial velocity from the tool's, across wall and floor [m/s].
+        replan_on_contact: whether a newly felt wall, or one that has turned, ends a chunk early.
         initial_scale: standard deviation of the untrained policy, in residuals [-].
-        batch_steps: policy steps of every environment between two updates.
+        batch_steps: policy steps of every environment in a batch.
     """
 
     num_basis: int = 8
@@ -110,7 +105,7 @@ class RecedingConfig(MazeConfig):
 
     @property
     def residual_scale(self) -> tuple[float, float, float]:
-        """How far a residual of 1 moves a weight ahead, to the left and up [m]."""
+        """Change of a weight ahead, to the left and up per unit of residual [m]."""
         return self.residual_ahead, self.residual_left, self.residual_up
 
 
@@ -119,12 +114,12 @@ class StepWiseMazeConfig(MazeConfig):
     """Options of the maze recipes whose policy acts on Cartesian velocity.
 
     Attributes:
-        ppo: settings of PPO, with a horizon of two seconds: it starts from a tool that stands still.
+        ppo: settings of PPO; its horizon is two seconds, since training starts from a tool at rest.
         max_velocity: velocity of an action of 1 ahead and to the left [m/s].
         max_rise: velocity of an action of 1 upwards [m/s].
-        max_lead: farthest the reference may be from the tool on the map [m].
+        max_lead: largest horizontal distance of the reference from the tool [m].
         initial_scale: standard deviation of the untrained policy, in actions [-].
-        batch_steps: control steps of every environment between two updates.
+        batch_steps: control steps of every environment in a batch.
     """
 
     max_velocity: float = 0.12
@@ -143,50 +138,12 @@ class StepWiseMazeConfig(MazeConfig):
 
     @property
     def lead(self) -> tuple[float, float, float]:
-        """Farthest the reference may be from the tool in x, y and z [m]."""
+        """Largest distance of the reference from the tool in x, y and z [m]."""
         return self.max_lead, self.max_lead, 2 * self.depth
 
 
-def make_maze_env(
-    config: MazeConfig,
-    *,
-    num_envs: int | None = None,
-    seed: int | None = None,
-    audit: bool = False,
-    ranges: MazeRanges | None = None,
-    layouts: Sequence[MazeLayout] = (),
-    rewards: MazeRewards | None = None,
-) -> MazeEnv:
-    """The bare environment of a maze recipe: straight corridors to train in, or mazes to be tested in.
-
-    Args:
-        config: the recipe's options.
-        num_envs: instead of the configured number.
-        seed: instead of the configured one.
-        audit: whether power and work are measured at the physics' rate too.
-        ranges: of the mazes of the test; None makes the straight corridors of training.
-        layouts: mazes to take in turn instead.
-        rewards: weights of the reward groups; by default those that PPT learns from.
-
-    Returns:
-        The environment.
-    """
-    common: dict[str, Any] = {
-        "num_envs": num_envs or config.num_envs,
-        "control_dt": config.control_dt,
-        "seed": config.seed if seed is None else seed,
-        "engine": make_engine_config(config, audit=audit),
-        "rewards": rewards,
-    }
-    if layouts:
-        return MazeEnv.of(layouts, duration=config.duration, **common)
-    if ranges is None:
-        return MazeEnv.straight(duration=config.training_duration, **common)
-    return MazeEnv.mazes(ranges=ranges, duration=config.duration, **common)
-
-
 def maze_space() -> TaskSpace:
-    """The task space of the maze: the tool upright, wherever it goes."""
+    """The task space of the maze: the position of a tool that stays upright."""
     return TaskSpace(MAZE_AXES, MazeEnv.start_pose)
 
 
@@ -197,7 +154,7 @@ def make_maze_promp(config: RecedingConfig) -> ProMP:
         config: the recipe's options.
 
     Returns:
-        The primitive: its centres reach beyond phase 0 and 1, so that it can go straight at both ends.
+        The primitive. Its centres reach beyond phase 0 and 1, so that it can go straight at both ends.
     """
     centres = torch.linspace(-_MARGIN, 1 + _MARGIN, config.num_basis)
     width = _OVERLAP * (1 + 2 * _MARGIN) / (config.num_basis - 1)
@@ -217,27 +174,3 @@ def maze_metrics(config: MazeConfig) -> MetricsConfig:
         The constants.
     """
     return replace(episode_metrics(config), cutoff=config.cutoff)
-
-
-def make_maze_policy(
-    env: TransformedEnv, *, initial_scale: float, extra_keys: Sequence[str] = ()
-) -> tuple[nn.Module, nn.Module]:
-    """Actor on proprioception and touch, the same to the left as to the right; critic on the place in the corridor too.
-
-    Args:
-        env: with the recipe's chain.
-        initial_scale: standard deviation of the untrained policy [action units].
-        extra_keys: observations that the recipe's transforms add, the same in a mirror.
-
-    Returns:
-        Actor and critic.
-    """
-    keys = [*_KNOWN, *extra_keys]
-    same = sum(env.observation_spec[key].shape[-1] for key in extra_keys)
-    per_axis = env.full_action_spec["action"].shape[-1] // len(MAZE_AXES)  # numbers of the action, axis by axis
-    mirror = Mirror(
-        (*_MIRRORED_TWIST * len(_KNOWN), *(1.0,) * same), [sign for sign in _MIRRORED_AXES for _ in range(per_axis)]
-    )
-    return make_actor_critic(
-        env, keys, [*keys, "heading", *MAZE_PRIVILEGED], initial_scale=initial_scale, mirror=mirror
-    )

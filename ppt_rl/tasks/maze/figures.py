@@ -1,21 +1,23 @@
-"""Figures of the maze: layouts from above and from the side, rollouts with via-points from touch, difficulty."""
+"""Figures of mazes: layouts from above and from the side, rollouts with via-points from touch."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from tensordict import TensorDictBase
 
+from ppt_rl.envs import MazeEnv, MazeLayout
 from ppt_rl.envs.maze.geometry import Corridor, build_corridor
-from ppt_rl.envs.maze.layout import MazeLayout
+from ppt_rl.evaluation import Policy
 from ppt_rl.evaluation.figures import save_figure
 from ppt_rl.evaluation.study_figures import VARIANT_COLORS
 
-__all__ = ["plot_difficulty", "plot_layout", "plot_rollouts"]
+__all__ = ["draw_maze_episode", "plot_layout", "plot_rollouts"]
 
 Array = NDArray[np.float64]
 _WALL, _FLOOR, _GREY = "#3c4654", "#b9b2a3", "#8a8f98"
@@ -45,7 +47,7 @@ def plot_layout(layout: MazeLayout, path: Path) -> None:
 
     Args:
         layout: the maze.
-        path: where the picture goes.
+        path: path of the picture.
     """
     corridor = build_corridor(layout)
     figure = Figure(figsize=(8, 5), layout="constrained")
@@ -62,13 +64,13 @@ def plot_layout(layout: MazeLayout, path: Path) -> None:
 
 
 def plot_rollouts(layout: MazeLayout, rollouts: Mapping[str, Mapping[str, Array]], path: Path) -> None:
-    """Rollouts in one maze by variant, from above and from the side, with the via-points that touch made.
+    """Rollouts in one maze by variant, from above and from the side, with the via-points inferred from touch.
 
     Args:
         layout: the maze.
         rollouts: by variant: ``pose`` (N, T, 7) [m, -], ``steps`` (N,) control steps of each, and, where there are
             any, ``via_position`` (N, T, M, 3) [m] with ``via_mask`` (N, T, M).
-        path: where the picture goes.
+        path: path of the picture.
     """
     corridor = build_corridor(layout)
     figure = Figure(figsize=(6.5 * len(rollouts), 6.5), layout="constrained")
@@ -91,7 +93,7 @@ def plot_rollouts(layout: MazeLayout, rollouts: Mapping[str, Mapping[str, Array]
 
 
 def _via_points(rollout: Mapping[str, Array]) -> Array:
-    """``(N, 3)`` every via-point that was ever in a buffer, once."""
+    """``(N, 3)`` distinct via-points that were in a buffer at any time."""
     if "via_position" not in rollout:
         return np.zeros((0, 3))
     found = [
@@ -101,33 +103,17 @@ def _via_points(rollout: Mapping[str, Array]) -> Array:
     return np.unique(np.concatenate(found).round(5), axis=0)
 
 
-def plot_difficulty(
-    curves: Mapping[str, Mapping[str, tuple[Sequence[float], Sequence[float], Sequence[Sequence[float]]]]],
-    path: Path,
-    *,
-    usual: Mapping[str, tuple[float, float]],
-) -> None:
-    """Success against how hard the maze is, one panel a quantity.
+def draw_maze_episode(policy: Policy, env: MazeEnv, episode: TensorDictBase, path: Path) -> None:
+    """Draw one recorded episode of a policy in its maze.
 
     Args:
-        curves: by quantity (with unit), by who acts: values, success rates [0-1] and their 95 % intervals.
-        path: where the picture goes.
-        usual: by quantity, the range of the test mazes, which is shaded.
+        policy: who acted.
+        env: the bare environment, not reset since; the episode is that of its first maze.
+        episode: what was recorded, without a batch dimension.
+        path: path of the picture.
     """
-    figure = Figure(figsize=(3.6 * len(curves), 3.6), layout="constrained")
-    for axes, (quantity, actors) in zip(np.atleast_1d(figure.subplots(1, len(curves))), curves.items(), strict=True):
-        if quantity in usual:
-            axes.axvspan(*usual[quantity], color=_GREY, alpha=0.15, lw=0)
-        for name, (values, rates, intervals) in actors.items():
-            low, high = np.asarray(intervals, dtype=float).T
-            error = 100 * np.abs(np.stack([np.asarray(rates) - low, high - np.asarray(rates)]))
-            color = VARIANT_COLORS.get(name, _GREY)
-            rate = 100 * np.asarray(rates)
-            axes.errorbar(values, rate, yerr=error, color=color, marker="o", ms=4, capsize=2, label=name)
-        axes.set_xlabel(quantity)
-        axes.set_ylim(0, 103)
-        axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, loc="lower left")
-    figure.axes[0].set_ylabel("success [%]")
-    figure.suptitle("shaded: the range of the test mazes; bars: 95 % intervals", fontsize=9)
-    save_figure(figure, path)
+    layout = env.layouts[0]
+    assert layout is not None
+    arrays = {key: value.numpy()[None] for key, value in episode["trace"].items()}
+    rollout = arrays | {"steps": episode["control_steps"].numpy()}
+    plot_rollouts(layout, {policy.recipe.label: rollout}, path)

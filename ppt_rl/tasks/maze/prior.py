@@ -1,4 +1,4 @@
-"""The hand-written follower in the maze: the baseline, and the source of the prior's demonstrations."""
+"""The hand-written follower behind the tank and the impedance, and the prior that is fitted to its rollouts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from ppt_rl.functional.heading import to_heading
 from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.tasks.config import make_controller
-from ppt_rl.tasks.maze.config import MazeConfig, make_maze_env, maze_metrics, maze_space
+from ppt_rl.tasks.maze.config import MazeConfig, maze_metrics, maze_space
+from ppt_rl.tasks.maze.environments import make_training_env
 from ppt_rl.tasks.maze.follower import WallFollower
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
 from ppt_rl.transforms.episode_metrics import EpisodeMetricsTransform
@@ -23,15 +24,15 @@ from ppt_rl.transforms.joint_torque import JointTorqueTransform
 
 __all__ = ["fit_maze_prior", "make_follower", "make_follower_env"]
 
-#: How long a demonstration is driven, in durations of the primitive.
-_DRIVE = 6
+#: Length of a rollout, in durations of the primitive.
+_PRIMITIVES = 6
 
 
 def make_follower(config: MazeConfig) -> WallFollower:
-    """The hand-written baseline, with the recipe's impedance, depth and speed; it learns nothing.
+    """The hand-written baseline with the recipe's depth and speed; it learns nothing.
 
     Args:
-        config: the recipe's options.
+        config: options of the recipe.
 
     Returns:
         The follower, for :func:`make_follower_env`.
@@ -40,24 +41,24 @@ def make_follower(config: MazeConfig) -> WallFollower:
 
 
 def make_follower_env(config: MazeConfig, base: MazeEnv) -> TransformedEnv:
-    """What the hand-written baseline acts on: references, behind the same tank and impedance as the policies.
+    """The environment of the hand-written baseline: references, behind the policies' tank and impedance.
 
     Args:
-        config: the recipe's options.
-        base: corridors or mazes.
+        config: options of the recipe.
+        base: bare environment with corridors or mazes.
 
     Returns:
         The environment.
     """
-    kinematics, dt = Kinematics(base.arm, base.tool_length), config.control_dt
+    kinematics = Kinematics(base.arm, base.tool_length)
     return TransformedEnv(
         base,
         Compose(
-            JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, dt=dt),
-            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max, dt=dt),
-            ImpedanceTransform(make_controller(config, base.arm)),
+            JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
+            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+            ImpedanceTransform(make_controller(config)),
             EpisodeMetricsTransform(maze_metrics(config)),
-            HeadingFrameTransform(dt=dt),
+            HeadingFrameTransform(),
         ),
     )
 
@@ -66,35 +67,35 @@ def make_follower_env(config: MazeConfig, base: MazeEnv) -> TransformedEnv:
 def fit_maze_prior(promp: ProMP, config: MazeConfig, *, num_corridors: int = 64, seed: int = 0) -> ProMP:
     """Fit the prior of a maze primitive to rollouts of the hand-written follower in straight corridors.
 
-    A demonstration is the way of the tool over the primitive's duration, in heading axes from where it began, set lower
-    by the depth that presses the tool on the floor.
+    A demonstration is the tool's path over the primitive's duration, in heading axes relative to its start, lowered by
+    the depth that presses the tool on the floor.
 
     Args:
         promp: a primitive with the coordinates of :data:`MAZE_AXES`; changed in place.
-        config: the recipe's options.
-        num_corridors: how many are driven through.
-        seed: of the corridors.
+        config: options of the recipe.
+        num_corridors: number of corridors.
+        seed: seed of the corridors.
 
     Returns:
         The primitive.
     """
-    seconds = max(config.training_duration, _DRIVE * promp.duration)
-    base = make_maze_env(replace(config, training_duration=seconds), num_envs=num_corridors, seed=seed)
+    seconds = max(config.training_duration, _PRIMITIVES * promp.duration)
+    base = make_training_env(replace(config, training_duration=seconds), num_envs=num_corridors, seed=seed)
     env = make_follower_env(config, base)
     steps = round(promp.duration / config.control_dt)
-    position, heading, alive = _driven(env, make_follower(config), _DRIVE * steps)
+    position, heading, alive = _rollout(env, make_follower(config), _PRIMITIVES * steps)
     env.close()
     demonstrations = []
     for begin in range(0, len(position) - steps, steps // 4):
-        way = to_heading(position[begin : begin + steps + 1] - position[begin], heading[begin])
-        way[..., 2] -= config.depth
-        demonstrations.append(way[:, alive[begin + steps]].transpose(0, 1))
+        path = to_heading(position[begin : begin + steps + 1] - position[begin], heading[begin])
+        path[..., 2] -= config.depth
+        demonstrations.append(path[:, alive[begin + steps]].transpose(0, 1))
     promp.fit(torch.cat(demonstrations).double())
     return promp
 
 
-def _driven(env: TransformedEnv, follower: WallFollower, steps: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions ``(T, B, 3)``, headings ``(T, B, 1)`` and whether the episode goes on ``(T, B)``."""
+def _rollout(env: TransformedEnv, follower: WallFollower, steps: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Positions ``(T, B, 3)``, headings ``(T, B, 1)`` and ``(T, B)`` whether the episode is still running."""
     tensordict, alive = env.reset(), torch.ones(env.batch_size, dtype=torch.bool)
     positions, headings, flags = [], [], []
     for _ in range(steps):

@@ -9,9 +9,11 @@ from ppt_rl.tasks.push.config import (
     make_push_policy,
 )
 from ppt_rl.tasks.push.prior import PUSH_AXES, fit_push_prior
+from ppt_rl.tasks.push.task import PUSH
 
 __all__ = [
     "PRIVILEGED",
+    "PUSH",
     "PUSH_AXES",
     "EpisodeLevelConfig",
     "PushConfig",

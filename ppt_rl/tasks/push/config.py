@@ -1,17 +1,18 @@
-"""What the four pushing recipes have in common: options, environment, controller, networks."""
+"""What the four pushing recipes have in common: options, environment and networks."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from torch import nn
 from torchrl.envs import TransformedEnv
 
-from ppt_rl.envs.push import PushEnv
-from ppt_rl.tasks.config import TaskConfig, make_engine_config
-from ppt_rl.training.recipe import make_actor_critic
+from ppt_rl.envs import PushEnv
+from ppt_rl.tasks.config import TaskConfig, env_settings
+from ppt_rl.training import make_actor_critic
 
 __all__ = [
     "PRIVILEGED",
@@ -22,7 +23,7 @@ __all__ = [
     "make_push_policy",
 ]
 
-#: What a policy may know, in training and at test time; the critic, needed in training only, sees the box as well.
+#: What a policy may read, in training and at test time. The critic, needed in training only, reads the box's pose too.
 _KNOWN = ("box_start", "goal", "box_size", "pose", "twist", "wrench", "phase")
 #: Observations that exist in simulation only; no evaluated policy sees them.
 PRIVILEGED = ("box_pose",)
@@ -33,7 +34,7 @@ class PushConfig(TaskConfig):
     """Options of every pushing recipe.
 
     Attributes:
-        box_sizes: edges of the boxes to draw from [m]: 0.06 (50 g), 0.08 (80 g).
+        box_sizes: edge lengths of the boxes to draw from [m]: 0.06 (50 g), 0.08 (80 g).
     """
 
     run_dir: Path = Path("runs/push")
@@ -45,10 +46,10 @@ class EpisodeLevelConfig(PushConfig):
     """Options of the recipes whose policy acts on ProMP weights.
 
     Attributes:
-        num_basis: basis functions of the ProMP for each of x, y and yaw.
-        replan_steps: control steps between policy steps; 0 is one policy step per episode.
-        residual_position: how far a residual of 1 moves a weight in x and y [m].
-        residual_yaw: how far a residual of 1 moves a weight in yaw [rad].
+        num_basis: number of basis functions of the ProMP for each of x, y and yaw.
+        replan_steps: control steps from one policy step to the next; 0 means one policy step per episode.
+        residual_position: change of a weight in x and y per unit of residual [m].
+        residual_yaw: change of a weight in yaw per unit of residual [rad].
         initial_scale: standard deviation of the untrained policy, in residuals [-].
     """
 
@@ -64,13 +65,13 @@ class EpisodeLevelConfig(PushConfig):
         return self.replan_steps or self.horizon
 
     @property
-    def policy_steps(self) -> int:
-        """Policy steps of an episode, which are those of a batch."""
+    def batch_steps(self) -> int:
+        """Policy steps of every environment in a batch: those of an episode."""
         return -(-self.horizon // self.chunk)
 
     @property
     def residual_scale(self) -> tuple[float, float, float]:
-        """How far a residual of 1 moves a weight in x, y [m] and yaw [rad]."""
+        """Change of a weight in x, y [m] and yaw [rad] per unit of residual."""
         return self.residual_position, self.residual_position, self.residual_yaw
 
 
@@ -81,10 +82,10 @@ class StepWiseConfig(PushConfig):
     Attributes:
         max_velocity: velocity of an action of 1 in x and y [m/s].
         max_yaw_rate: yaw rate of an action of 1 [rad/s].
-        max_lead: farthest the reference may be ahead of the tool in x and y [m].
-        max_yaw_lead: farthest it may be ahead in yaw [rad].
+        max_lead: largest distance of the reference from the tool in x and y [m].
+        max_yaw_lead: largest distance in yaw [rad].
         initial_scale: standard deviation of the untrained policy, in actions [-].
-        rollout_steps: control steps of every environment between two updates.
+        batch_steps: control steps of every environment in a batch.
     """
 
     max_velocity: float = 0.4
@@ -92,7 +93,7 @@ class StepWiseConfig(PushConfig):
     max_lead: float = 0.05
     max_yaw_lead: float = 0.3
     initial_scale: float = 0.25
-    rollout_steps: int = 60
+    batch_steps: int = 60
 
     @property
     def velocity(self) -> tuple[float, float, float]:
@@ -101,32 +102,25 @@ class StepWiseConfig(PushConfig):
 
     @property
     def lead(self) -> tuple[float, float, float]:
-        """Farthest the reference may be ahead in x, y [m] and yaw [rad]."""
+        """Largest distance of the reference from the tool in x, y [m] and yaw [rad]."""
         return self.max_lead, self.max_lead, self.max_yaw_lead
 
 
 def make_push_env(
-    config: PushConfig, *, num_envs: int | None = None, seed: int | None = None, audit: bool = False
+    config: PushConfig, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[Any] = ()
 ) -> PushEnv:
-    """The bare environment of a pushing recipe.
+    """The bare environment of a pushing recipe, the same in training and test.
 
-    Args:
-        config: the recipe's options.
-        num_envs: instead of the configured number.
-        seed: instead of the configured one.
-        audit: whether power and work are measured at the physics' rate too.
+    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given``
+    must be empty, since pushing episodes are drawn.
 
-    Returns:
-        The environment.
+    Raises:
+        ValueError: if episodes are given.
     """
-    return PushEnv(
-        num_envs=num_envs or config.num_envs,
-        box_sizes=config.box_sizes,
-        duration=config.duration,
-        control_dt=config.control_dt,
-        seed=config.seed if seed is None else seed,
-        engine=make_engine_config(config, audit=audit),
-    )
+    if given:
+        raise ValueError(f"{len(given)} episodes are given; expected none, since pushing episodes are drawn.")
+    settings = env_settings(config, num_envs=num_envs, seed=seed, audit=audit)
+    return PushEnv(box_sizes=config.box_sizes, duration=config.duration, **settings)
 
 
 def make_push_policy(
@@ -135,9 +129,9 @@ def make_push_policy(
     """Actor on what is known at test time, critic on the box's pose as well.
 
     Args:
-        env: with the recipe's chain.
+        env: environment with the recipe's chain.
         initial_scale: standard deviation of the untrained policy [action units].
-        extra_keys: observations that the recipe's transforms add.
+        extra_keys: further observations, which the recipe's transforms add.
 
     Returns:
         Actor and critic.

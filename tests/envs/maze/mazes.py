@@ -1,4 +1,4 @@
-"""Walls and centre lines of mazes measured anew, to check those of the library against."""
+"""Independent computations of walls and centre lines, to compare the library's with."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ def random_straights() -> Built:
 
 
 def unit(angle: float | Array) -> Array:
-    """Ways at angles from the x axis to the left."""
+    """Unit vectors at angles counter-clockwise from the x axis."""
     return np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def walk(layout: MazeLayout) -> list[tuple[Straight, Array, float]]:
-    """The straights of a maze with their middles on the map [m] and their headings [rad]."""
+    """The straights of a maze, each with its middle on the map [m] and its heading [rad]."""
     point, heading, straights = np.asarray(layout.start), layout.heading, []
     for segment in layout.segments:
         if isinstance(segment, Straight):
@@ -74,36 +74,36 @@ def walk(layout: MazeLayout) -> list[tuple[Straight, Array, float]]:
     return straights
 
 
-def way_length(layout: MazeLayout) -> float:
-    """Length of a maze's centre line: of the straights, and from mouth to mouth of the discs [m]."""
+def line_length(layout: MazeLayout) -> float:
+    """Length of a maze's centre line: the straights, and the discs from entrance to exit [m]."""
     discs = [part.diameter for part in layout.segments if isinstance(part, Disc)]
     straights = [part.length for part in layout.segments if isinstance(part, Straight)]
     return sum(straights) + sum(math.sqrt(diameter**2 - layout.width**2) for diameter in discs)
 
 
 def along(corridor: Corridor, count: int = 6) -> tuple[Array, Array, Array]:
-    """Places on a centre line, off its corners: ``(N, 3)`` points, their ``(N,)`` headings and pieces."""
+    """Points of a centre line away from its corners: ``(N, 3)`` points, their ``(N,)`` headings and pieces."""
     share = (np.arange(count) + 0.5) / count
-    begin, way = corridor.centre[:-1, None], np.diff(corridor.centre, axis=0)[:, None]
-    heading = np.arctan2(way[..., 1], way[..., 0])
-    points = (begin + share[:, None] * way).reshape(-1, 3)
-    return points, np.repeat(heading, count), np.repeat(np.arange(len(way)), count)
+    begin, edge = corridor.centre[:-1, None], np.diff(corridor.centre, axis=0)[:, None]
+    heading = np.arctan2(edge[..., 1], edge[..., 0])
+    points = (begin + share[:, None] * edge).reshape(-1, 3)
+    return points, np.repeat(heading, count), np.repeat(np.arange(len(edge)), count)
 
 
 def gaps(points: Array, faces: tuple[Face, ...]) -> Array:
     """``(N, F)`` distances on the map from points to walls [m]."""
     begin, end = (np.asarray([face[i] for face in faces]) for i in (0, 1))
-    way = end - begin
-    share = ((points[:, None, :2] - begin) * way).sum(-1) / (way**2).sum(-1)
-    return np.linalg.norm(points[:, None, :2] - begin - share.clip(0, 1)[..., None] * way, axis=-1)
+    edge = end - begin
+    share = ((points[:, None, :2] - begin) * edge).sum(-1) / (edge**2).sum(-1)
+    return np.linalg.norm(points[:, None, :2] - begin - share.clip(0, 1)[..., None] * edge, axis=-1)
 
 
 def seen(point: Array, angle: float | Array, begin: Array, end: Array) -> Array:
-    """Distance on the map from a point to where its rays first meet one of ``(F, 2)`` lines; infinite for none [m]."""
-    ray, way, to = np.atleast_2d(unit(angle))[:, None], end - begin, begin - point[:2]
-    cross = ray[..., 0] * way[:, 1] - ray[..., 1] * way[:, 0]
+    """Distance along rays from a point to the nearest of ``(F, 2)`` lines on the map; infinite if there is none [m]."""
+    ray, edge, to = np.atleast_2d(unit(angle))[:, None], end - begin, begin - point[:2]
+    cross = ray[..., 0] * edge[:, 1] - ray[..., 1] * edge[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
-        distance = (to[:, 0] * way[:, 1] - to[:, 1] * way[:, 0]) / cross
+        distance = (to[:, 0] * edge[:, 1] - to[:, 1] * edge[:, 0]) / cross
         share = (to[:, 0] * ray[..., 1] - to[:, 1] * ray[..., 0]) / cross
     met = (np.abs(cross) > 1e-12) & (distance >= 0) & (share >= -1e-9) & (share <= 1 + 1e-9)
     return np.where(met, distance, np.inf).min(-1)
@@ -120,39 +120,39 @@ def open_end(corridor: Corridor) -> tuple[Array, Array]:
     return ends[0][None], ends[1][None]
 
 
-def height_on(floors: tuple[Floor, ...], places: Array) -> Array:
-    """``(N,)`` heights of the highest floor at places on the map; minus infinity where there is a hole [m]."""
-    highest = np.full(len(places), -np.inf)
+def height_on(floors: tuple[Floor, ...], points: Array) -> Array:
+    """``(N,)`` heights of the highest floor at points on the map; minus infinity where there is none [m]."""
+    highest = np.full(len(points), -np.inf)
     for floor in floors:
         length = np.linalg.norm(floor.end - floor.begin)
-        way, off = (floor.end - floor.begin) / length, places - floor.begin[:2]
-        run = np.linalg.norm(way[:2])
-        ahead, aside = off @ way[:2] / run**2, (way[0] * off[:, 1] - way[1] * off[:, 0]) / run
+        along, off = (floor.end - floor.begin) / length, points - floor.begin[:2]
+        run = np.linalg.norm(along[:2])
+        ahead, aside = off @ along[:2] / run**2, (along[0] * off[:, 1] - along[1] * off[:, 0]) / run
         on = (ahead >= -floor.over_begin - 1e-9) & (ahead <= length + floor.over_end + 1e-9)
-        height = np.where(on & (np.abs(aside) <= floor.half_width), floor.begin[2] + ahead * way[2], -np.inf)
+        height = np.where(on & (np.abs(aside) <= floor.half_width), floor.begin[2] + ahead * along[2], -np.inf)
         highest = np.maximum(highest, height)
     return highest
 
 
 def travelled(centre: Array) -> Array:
-    """``(P,)`` ways on the map from the first corner of a centre line to each [m]."""
+    """``(P,)`` distances along a centre line from its first corner to each [m]."""
     return np.concatenate([[0.0], np.linalg.norm(np.diff(centre[:, :2], axis=0), axis=1).cumsum()])
 
 
 def layouts_of(env: PandaMazeEnv) -> list[MazeLayout]:
-    """The mazes that the environments of a batch are in."""
+    """The present mazes of a batch of environments."""
     return [layout for layout in env.layouts if layout is not None]
 
 
 def put_tool(env: PandaMazeEnv, row: int, position: Array) -> None:
-    """Move the upright tool of one environment to a place, at rest, without its knowledge."""
+    """Move the upright tool of one environment behind its back; the tool is at rest afterwards."""
     pose = torch.tensor([[*position, *env.start_pose[3:]]], dtype=torch.float64)
     state = env.engine._state[row]  # time, 7 joint positions, 7 joint velocities
     state[1:8], state[8:15] = env._arm_position(pose)[0].numpy(), 0.0
 
 
 def drag(env: PandaMazeEnv, speed: float, depth: list[float], seconds: float) -> TensorDict:
-    """What is observed while tools are dragged along their centre lines, until all episodes are over.
+    """Observations while tools are dragged along their centre lines, until all episodes are over.
 
     Args:
         env: the maze environment.
@@ -172,11 +172,11 @@ def drag(env: PandaMazeEnv, speed: float, depth: list[float], seconds: float) ->
         done += speed * env.control_dt
         reference = np.zeros((env.num_envs, 13))
         for row, line in enumerate(lines):
-            at, way = travelled(line), np.diff(line, axis=0)
-            piece = min(int(np.searchsorted(at, done, "right")), len(way)) - 1
-            way = way[piece] / (at[piece + 1] - at[piece])
-            place = line[piece] + (done - at[piece]) * way - [0.0, 0.0, depth[row]]
-            reference[row] = [*place, *env.start_pose[3:], *(speed * way), 0.0, 0.0, 0.0]
+            at, edges = travelled(line), np.diff(line, axis=0)
+            piece = min(int(np.searchsorted(at, done, "right")), len(edges)) - 1
+            slope = edges[piece] / (at[piece + 1] - at[piece])  # per metre on the map
+            position = line[piece] + (done - at[piece]) * slope - [0.0, 0.0, depth[row]]
+            reference[row] = [*position, *env.start_pose[3:], *(speed * slope), 0.0, 0.0, 0.0]
         run.append(act(chain, run[-1], torch.tensor(reference, dtype=env.dtype)))
         if run[-1]["done"].all():
             break
@@ -184,11 +184,11 @@ def drag(env: PandaMazeEnv, speed: float, depth: list[float], seconds: float) ->
 
 
 class RayScene:
-    """What rays meet in the model of one environment.
+    """Casts rays in the model of one environment.
 
     Args:
         env: the maze environment.
-        row: of the environment.
+        row: index of the environment.
     """
 
     def __init__(self, env: PandaMazeEnv, row: int) -> None:
@@ -205,8 +205,8 @@ class RayScene:
         """Height of the floor under a point [m]; minus infinity where there is none."""
         return float(point[2]) - self._cast(point, np.asarray([0.0, 0.0, -1.0]), 2)
 
-    def _cast(self, point: Array, way: Array, group: int) -> float:
+    def _cast(self, point: Array, direction: Array, group: int) -> float:
         groups = np.asarray([index == group for index in range(6)], dtype=np.uint8)
         found = np.zeros(1, dtype=np.int32)
-        distance = mujoco.mj_ray(self.model, self.data, point, way, groups, 1, -1, found)
+        distance = mujoco.mj_ray(self.model, self.data, point, direction, groups, 1, -1, found)
         return math.inf if found[0] < 0 else float(distance)

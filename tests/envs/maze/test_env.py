@@ -35,9 +35,9 @@ def column(value: Tensor) -> list[Any]:
 
 
 def at(layout: MazeLayout, along: float, aside: float = 0.0, above: float = 5e-4) -> np.ndarray:
-    """A place in a straight corridor, from its closed end, to the left of its centre line and above its floor."""
-    way = along * unit(layout.heading) + aside * unit(layout.heading + 0.5 * math.pi)
-    return np.asarray([*(layout.start + way), layout.height + above])
+    """A position in a straight corridor: from its closed end, to the left of its centre line, above its floor."""
+    offset = along * unit(layout.heading) + aside * unit(layout.heading + 0.5 * math.pi)
+    return np.asarray([*(layout.start + offset), layout.height + above])
 
 
 # -- specs and seeds ---------------------------------------------------------------------------------------------------
@@ -45,11 +45,11 @@ def at(layout: MazeLayout, along: float, aside: float = 0.0, above: float = 5e-4
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 @pytest.mark.parametrize("make", [*MAKES, of_three])
-def test_what_comes_back_fits_the_specs(make: Make, dtype: torch.dtype) -> None:
+def test_observations_fit_the_specs(make: Make, dtype: torch.dtype) -> None:
     check_env_specs(make(2, duration=0.05, dtype=dtype, **FAST))
 
 
-def test_what_only_a_critic_or_a_metric_may_know_is_observed_by_name() -> None:
+def test_privileged_observations_have_names_of_their_own() -> None:
     observation = PandaMazeEnv.straight(2, **FAST).reset()
     for name in ("start_heading", "corridor_offset", "corridor_heading", "progress"):
         assert observation[name].shape == (2, 1), name
@@ -57,7 +57,7 @@ def test_what_only_a_critic_or_a_metric_may_know_is_observed_by_name() -> None:
 
 
 @pytest.mark.parametrize("make", MAKES)
-def test_a_seed_repeats_mazes_and_episodes_and_another_draws_anew(make: Make) -> None:
+def test_the_same_seed_repeats_mazes_and_episodes_and_another_seed_does_not(make: Make) -> None:
     drawn = []
     for seed in (3, 3, 4):
         env = make(3, **{**FAST, "seed": seed})
@@ -70,7 +70,7 @@ def test_a_seed_repeats_mazes_and_episodes_and_another_draws_anew(make: Make) ->
     assert all(a != b for a, b in zip(first[0], other[0], strict=True))
 
 
-def test_training_and_test_draw_from_streams_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_and_test_draw_different_numbers_with_the_same_seed(monkeypatch: pytest.MonkeyPatch) -> None:
     numbers: list[float] = []
 
     def record(rng: np.random.Generator, *_: Any) -> MazeLayout:
@@ -87,7 +87,7 @@ def test_training_and_test_draw_from_streams_of_their_own(monkeypatch: pytest.Mo
 # -- which mazes -------------------------------------------------------------------------------------------------------
 
 
-def test_training_never_sees_a_turn() -> None:
+def test_the_training_set_has_no_turns() -> None:
     env = PandaMazeEnv.straight(8, **FAST)
     for _ in range(12):
         observation = env.reset()
@@ -96,7 +96,7 @@ def test_training_never_sees_a_turn() -> None:
         assert_close(observation["corridor_heading"].squeeze(-1), told, rtol=0, atol=1e-4)
 
 
-def test_the_test_has_turns_discs_and_ramps_in_every_maze() -> None:
+def test_every_maze_of_the_test_set_has_turns_discs_and_ramps() -> None:
     env = PandaMazeEnv.mazes(4, **FAST)
     before: list[MazeLayout] = []
     for _ in range(2):
@@ -108,7 +108,7 @@ def test_the_test_has_turns_discs_and_ramps_in_every_maze() -> None:
         assert any(isinstance(segment, Straight) and segment.rise for segment in layout.segments)
 
 
-def test_the_ranges_of_the_mazes_are_those_given() -> None:
+def test_given_ranges_are_used() -> None:
     straight = PandaMazeEnv.straight(2, ranges=StraightRanges(length=(0.21, 0.21)), **FAST)
     mazes = PandaMazeEnv.mazes(2, ranges=MazeRanges(friction=(0.15, 0.15)), **FAST)
     for env in (straight, mazes):
@@ -117,7 +117,7 @@ def test_the_ranges_of_the_mazes_are_those_given() -> None:
     assert all(layout.friction == 0.15 for layout in layouts_of(mazes))
 
 
-def test_layouts_written_by_hand_are_taken_in_turn() -> None:
+def test_given_layouts_are_used_in_turn() -> None:
     env = of_three(2, **FAST)
     taken = []
     for _ in range(3):
@@ -130,7 +130,7 @@ def test_layouts_written_by_hand_are_taken_in_turn() -> None:
 # -- the start of an episode -------------------------------------------------------------------------------------------
 
 
-def test_the_tool_starts_upright_in_its_ranges_from_the_closed_end_and_the_centre_line() -> None:
+def test_the_tool_starts_upright_and_within_the_ranges_of_its_start() -> None:
     env = PandaMazeEnv.straight(64, dtype=F64, **FAST)
     observation, ranges = env.reset(), MazeRandomisation()
     length = torch.tensor([build_corridor(layout).length for layout in layouts_of(env)], dtype=F64)
@@ -151,7 +151,7 @@ def test_the_tool_starts_upright_in_its_ranges_from_the_closed_end_and_the_centr
 
 
 @pytest.mark.parametrize(("make", "error"), [(PandaMazeEnv.straight, 0.9), (PandaMazeEnv.mazes, 0.2)])
-def test_the_told_heading_is_off_within_its_range_for_a_whole_episode(make: Make, error: float) -> None:
+def test_the_told_heading_has_an_error_in_its_range_that_is_constant_in_an_episode(make: Make, error: float) -> None:
     env = make(24, duration=0.02, **FAST)
     told = rollout(env, torch.zeros(24, 2, 7))["start_heading"]
     off = told[:, 0, 0] - torch.tensor([layout.heading for layout in layouts_of(env)])
@@ -161,7 +161,7 @@ def test_the_told_heading_is_off_within_its_range_for_a_whole_episode(make: Make
     assert float(off.min()) < -0.6 * error
 
 
-def test_a_partial_reset_draws_a_maze_for_its_rows_and_leaves_the_others_alone() -> None:
+def test_a_partial_reset_draws_mazes_for_its_environments_and_leaves_the_others_alone() -> None:
     env = PandaMazeEnv.mazes(4, **FAST)
     before = act(env, env.reset(), torques(env, 1)[:, 0])
     kept, layouts = before.clone(), layouts_of(env)
@@ -183,7 +183,7 @@ def test_a_partial_reset_draws_a_maze_for_its_rows_and_leaves_the_others_alone()
 # -- the end of an episode ---------------------------------------------------------------------------------------------
 
 
-def test_success_is_reached_at_the_end_of_the_centre_line_inside_the_corridor_and_not_before() -> None:
+def test_success_is_the_end_of_the_centre_line_reached_inside_the_corridor() -> None:
     env = PandaMazeEnv.of([LEVEL] * 4, max_force=1e9, **FAST)
     observation = env.reset()
     for row, (along, above) in enumerate([(0.39, 5e-4), (0.402, 5e-4), (0.2, 5e-4), (0.402, 0.045)]):
@@ -212,7 +212,7 @@ def test_a_tool_beyond_a_wall_or_lifted_over_the_walls_has_left_the_corridor() -
     assert failed.tolist() == expected
 
 
-def test_a_force_above_the_safe_one_ends_the_episode_and_one_below_does_not() -> None:
+def test_a_force_above_the_limit_ends_the_episode_and_one_below_does_not() -> None:
     env = PandaMazeEnv.of([LEVEL], max_force=1.0, dtype=F64, **FAST)
     run = drag(env, 0.05, [0.02], 1.0)[1:, 0]
     assert_close(run["unsafe"], run["wrench"][:, :3].norm(dim=-1, keepdim=True) > 1.0)
@@ -223,7 +223,7 @@ def test_a_force_above_the_safe_one_ends_the_episode_and_one_below_does_not() ->
     assert run["reward_terms", "contact"][-1] <= -env.rewards.failure
 
 
-def test_the_horizon_truncates() -> None:
+def test_an_episode_is_truncated_at_its_horizon() -> None:
     env = PandaMazeEnv.of([LEVEL], duration=0.03, **FAST)
     ends = rollout(env, torch.zeros(1, 6, 7))["next"]
     expected = torch.tensor([False, False, True] * 2)
@@ -232,7 +232,7 @@ def test_the_horizon_truncates() -> None:
     assert not ends["terminated"].any()
 
 
-def test_an_episode_that_is_over_begins_anew() -> None:
+def test_a_reset_after_the_end_of_an_episode_starts_a_new_one() -> None:
     env = PandaMazeEnv.of([LEVEL], **FAST)
     observation = env.reset()
     put_tool(env, 0, at(LEVEL, 0.402))
@@ -246,22 +246,22 @@ def test_an_episode_that_is_over_begins_anew() -> None:
 
 
 @pytest.mark.parametrize("force", [0.0, -1.0, math.nan])
-def test_a_safe_force_that_is_not_positive_is_refused(force: float) -> None:
+def test_a_force_limit_that_is_not_positive_is_refused(force: float) -> None:
     with pytest.raises(ValueError, match=r"max_force is .*; expected a force above 0 N\."):
         PandaMazeEnv.straight(1, max_force=force)
 
 
-def test_no_layout_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"layouts are empty; expected at least one MazeLayout\."):
+def test_an_empty_list_of_layouts_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"layouts is empty; expected at least one MazeLayout\."):
         PandaMazeEnv.of([])
 
 
-def test_a_layout_that_cannot_be_built_is_refused_before_the_first_episode() -> None:
+def test_an_infeasible_layout_is_refused_before_the_first_episode() -> None:
     with pytest.raises(ValueError, match=r"the maze lies .* Move its start"):
         PandaMazeEnv.of([LEVEL, replace(LEVEL, start=(1.0, 0.0))])
 
 
-def test_the_weights_of_the_reward_are_those_given() -> None:
+def test_given_reward_weights_are_used() -> None:
     light, heavy = (
         PandaMazeEnv.of([LEVEL], rewards=MazeRewards(progress=weight, success=0.0), dtype=F64, **FAST)
         for weight in (1.0, 3.0)

@@ -8,20 +8,20 @@ import pytest
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs.maze import sampling
-from ppt_rl.envs.maze.geometry import check_corridor
+from ppt_rl.envs.maze.feasibility import check_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn
 from ppt_rl.envs.maze.sampling import MazeRanges, StraightRanges, random_maze, random_straight
 from tests.envs.maze.mazes import random_mazes, random_straights, walk
 
 
 @pytest.mark.parametrize("draw", [random_maze, random_straight])
-def test_a_seed_repeats_what_is_drawn_and_another_seed_draws_anew(draw: Any) -> None:
+def test_the_same_seed_draws_the_same_layout_and_another_seed_another_one(draw: Any) -> None:
     first, again, other = (draw(np.random.default_rng(seed)) for seed in (5, 5, 6))
     assert first == again
     assert first != other
 
 
-def test_what_is_drawn_can_be_built() -> None:
+def test_every_random_layout_is_feasible() -> None:
     for layout, corridor in [*random_mazes(), *random_straights()]:
         check_corridor(corridor, layout, PANDA.reach)
 
@@ -63,7 +63,7 @@ def test_the_parts_of_a_random_maze_are_within_their_ranges() -> None:
     assert {angle > 0 for angle in angles} == {True, False}
 
 
-def test_the_segments_of_a_random_maze_are_together_as_long_as_its_range() -> None:
+def test_the_total_length_of_the_segments_of_a_random_maze_is_in_its_range() -> None:
     def length(layout: MazeLayout) -> float:
         parts = [part for part in layout.segments if not isinstance(part, Turn)]
         return sum(part.length if isinstance(part, Straight) else part.diameter for part in parts)
@@ -72,7 +72,7 @@ def test_the_segments_of_a_random_maze_are_together_as_long_as_its_range() -> No
     assert length(random_maze(np.random.default_rng(0), MazeRanges(length=(1.0, 1.0)))) == pytest.approx(1.0)
 
 
-def test_a_range_of_one_number_fixes_what_is_drawn() -> None:
+def test_a_range_of_a_single_number_fixes_that_quantity() -> None:
     ranges = MazeRanges(turn=(0.5, 0.5), turns=(2, 2), discs=(0, 0), width=(0.053, 0.053), rise=(0.02, 0.02))
     layout = random_maze(np.random.default_rng(0), ranges)
     assert [abs(part.angle) for part in layout.segments if not isinstance(part, Straight)] == [0.5, 0.5]
@@ -90,11 +90,15 @@ def test_an_empty_range_is_refused(ranges: Any, limits: tuple[float, float]) -> 
 @pytest.mark.parametrize(
     ("draw", "ranges", "message"),
     [
-        (random_maze, MazeRanges(length=(0.2, 0.3)), r"no maze within .* fits into the arm's reach; widen the ranges"),
-        (random_straight, StraightRanges(x=(0.1, 0.1)), r"no straight corridor within .* fits into the arm's reach"),
+        (
+            random_maze,
+            MazeRanges(length=(0.2, 0.3)),
+            r"none of 20 layouts within MazeRanges.* fits",
+        ),
+        (random_straight, StraightRanges(x=(0.1, 0.1)), r"none of 20 layouts within StraightRanges.* fits"),
     ],
 )
-def test_ranges_that_nothing_fits_are_refused(
+def test_ranges_in_which_nothing_is_feasible_are_refused(
     monkeypatch: pytest.MonkeyPatch, draw: Any, ranges: Any, message: str
 ) -> None:
     monkeypatch.setattr(sampling, "_TRIES", 20)

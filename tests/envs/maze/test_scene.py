@@ -56,26 +56,26 @@ def rows(env: PandaMazeEnv) -> list[RayScene]:
     return [RayScene(env, row) for row in range(env.num_envs)]
 
 
-# -- the model of an environment is its maze ---------------------------------------------------------------------------
+# -- the model of an environment contains its maze --------------------------------------------------------------------
 
 
-def test_the_written_walls_stand_the_width_apart_up_to_their_top(rows: list[RayScene]) -> None:
+def test_the_simulated_walls_are_the_corridors_width_apart_up_to_their_top(rows: list[RayScene]) -> None:
     for row, layout in zip(rows, LAYOUTS, strict=True):
         points = along(build_corridor(layout), 4)[0]
         for _, middle, heading in walk(layout):
             floor = points[np.linalg.norm(points[:, :2] - middle, axis=1).argmin(), 2]
             for height in (0.002, 0.95 * WALL_HEIGHT):
-                place = np.asarray([*middle, floor + height])
-                sides = [row.wall(place, heading + side * 0.5 * math.pi) for side in (1, -1)]
+                point = np.asarray([*middle, floor + height])
+                sides = [row.wall(point, heading + side * 0.5 * math.pi) for side in (1, -1)]
                 assert sides == pytest.approx([0.5 * layout.width] * 2, abs=1e-9)
 
 
-def test_the_written_walls_stand_where_the_corridor_has_them_with_no_gap_between(rows: list[RayScene]) -> None:
+def test_the_simulated_walls_are_those_of_the_corridor_without_gaps(rows: list[RayScene]) -> None:
     angles = np.linspace(-math.pi, math.pi, 36, endpoint=False) + 0.013
     for row, layout in zip(rows, LAYOUTS, strict=True):
         corridor = build_corridor(layout)
         for point in along(corridor, 2)[0]:
-            point[2] = 0.04  # every wall, on whatever floor, reaches from the table to above this
+            point[2] = 0.04  # every wall reaches from the table to above this height
             expected = seen_walls(point, angles, corridor)
             assert np.isfinite(seen(point, angles[np.isinf(expected)], *open_end(corridor))).all()
             for angle, distance in zip(angles, expected, strict=True):
@@ -83,7 +83,7 @@ def test_the_written_walls_stand_where_the_corridor_has_them_with_no_gap_between
                     assert row.wall(point, angle) == pytest.approx(distance, abs=1e-9)
 
 
-def test_the_written_floor_has_the_height_of_the_centre_line_from_wall_to_wall(rows: list[RayScene]) -> None:
+def test_the_simulated_floor_has_the_height_of_the_centre_line_from_wall_to_wall(rows: list[RayScene]) -> None:
     for row, layout in zip(rows, LAYOUTS, strict=True):
         points, headings, _ = along(build_corridor(layout))
         for point, side in zip(points, unit(headings + 0.5 * math.pi), strict=True):
@@ -102,7 +102,7 @@ def test_the_tool_touches_walls_and_floor_with_the_friction_of_its_maze_and_noth
         assert not touched.any()
 
 
-def test_all_mazes_are_one_compiled_model_with_numbers_of_their_own(env: PandaMazeEnv) -> None:
+def test_all_mazes_are_one_compiled_model_with_different_numbers(env: PandaMazeEnv) -> None:
     first, *others = env.engine.models
     for model in others:
         for name in ("nq", "nv", "ngeom", "npair", "nsensordata"):
@@ -110,7 +110,7 @@ def test_all_mazes_are_one_compiled_model_with_numbers_of_their_own(env: PandaMa
         assert not np.array_equal(model.geom_pos, first.geom_pos)
 
 
-def test_pieces_of_the_maze_before_are_put_far_away() -> None:
+def test_a_new_maze_leaves_nothing_of_the_previous_one_in_the_model() -> None:
     model = mjcf.Physics.from_mjcf_model(maze_scene(PANDA)).model.ptr
     fresh = mjcf.Physics.from_mjcf_model(maze_scene(PANDA)).model.ptr
     write_corridor(model, build_corridor(paper_layout()), 0.3)
@@ -121,14 +121,14 @@ def test_pieces_of_the_maze_before_are_put_far_away() -> None:
     assert (model.geom_pos[pieces(model), 2] > -1).sum() == len(build_corridor(LEVEL).faces) + 1
 
 
-def test_what_the_compiler_derives_from_a_piece_is_derived_anew(env: PandaMazeEnv) -> None:
+def test_quantities_that_the_compiler_derives_from_a_box_are_updated(env: PandaMazeEnv) -> None:
     for model in env.engine.models:
         for i in pieces(model):
             assert model.geom_rbound[i] == pytest.approx(np.linalg.norm(model.geom_size[i]))
             np.testing.assert_array_equal(model.geom_aabb[i], [0, 0, 0, *model.geom_size[i]])
 
 
-def test_the_inspection_model_shows_the_maze_of_its_environment(env: PandaMazeEnv) -> None:
+def test_the_inspected_model_has_the_maze_of_its_environment(env: PandaMazeEnv) -> None:
     for row in (1, 0):
         shown, stepped = env.physics(row).model.ptr, env.engine.models[row]
         for i in pieces(stepped):
@@ -139,14 +139,14 @@ def test_the_inspection_model_shows_the_maze_of_its_environment(env: PandaMazeEn
                 )
 
 
-def test_a_maze_of_more_pieces_than_the_model_is_refused(env: PandaMazeEnv) -> None:
+def test_a_maze_with_more_pieces_than_the_model_is_refused(env: PandaMazeEnv) -> None:
     segments = (Straight(0.1), *(Disc(0.09), Straight(0.1)) * 4)
     corridor = build_corridor(MazeLayout(segments))
     with pytest.raises(ValueError, match=r"the maze has \d+ pieces of wall; expected at most 48\. Shorten it\."):
         write_corridor(env.engine.models[0], corridor, 0.2)
 
 
-def test_a_layout_of_more_pieces_than_the_model_is_refused_before_the_first_episode() -> None:
+def test_a_layout_with_more_pieces_than_the_model_is_refused_before_the_first_episode() -> None:
     segments = (Straight(0.1), *(Disc(0.09), Straight(0.1)) * 3)
     with pytest.raises(ValueError, match="pieces of wall"):
         PandaMazeEnv.of([MazeLayout(segments, start=(0.45, -0.35))], **FAST)
@@ -170,14 +170,14 @@ def test_a_first_straight_without_room_for_the_tool_before_the_turn_is_refused()
         PandaMazeEnv.of([MazeLayout(segments, start=(0.50, -0.10))], **FAST)
 
 
-def test_the_tool_starts_at_the_floor(env: PandaMazeEnv) -> None:
+def test_the_tool_starts_just_above_the_floor(env: PandaMazeEnv) -> None:
     for row, layout in enumerate(LAYOUTS):
         if walk(layout)[0][0].rise == 0:
             scene = RayScene(env, row)
             assert scene.data.site("end_effector").xpos[2] - layout.height == pytest.approx(5e-4, abs=1e-4)
 
 
-def test_a_tool_that_slides_over_a_level_floor_feels_a_steady_force() -> None:
+def test_a_tool_that_slides_over_a_level_floor_measures_a_steady_force() -> None:
     """A stiff contact lets it hop with the time step: lightly pressed on, it would be in the air nine steps of ten."""
     pressing, lightly = 0.007, 0.002
     straight_on = MazeRandomisation(along=(0.03, 0.03), across=(0.0, 0.0))
@@ -194,13 +194,13 @@ def test_a_tool_that_slides_over_a_level_floor_feels_a_steady_force() -> None:
 
 @pytest.fixture(scope="module")
 def driven() -> tuple[PandaMazeEnv, TensorDict]:
-    """The maze of the paper, driven through along its centre line."""
+    """The paper's maze with a tool dragged along its centre line."""
     rewards = MazeRewards(progress=2.0, success=5.0)
     env = PandaMazeEnv.of([paper_layout()], rewards=rewards, seed=0, engine=COARSE)
     return env, drag(env, 0.10, [0.007], 14.0)[:, 0]
 
 
-def test_a_tool_dragged_along_the_centre_line_comes_through_the_maze_of_the_paper(
+def test_a_tool_dragged_along_the_centre_line_gets_through_the_papers_maze(
     driven: tuple[PandaMazeEnv, TensorDict],
 ) -> None:
     run = driven[1]
@@ -210,25 +210,27 @@ def test_a_tool_dragged_along_the_centre_line_comes_through_the_maze_of_the_pape
         assert not run[name].any(), name
 
 
-def test_progress_grows_from_near_nothing_to_one_along_the_centre_line(driven: tuple[PandaMazeEnv, TensorDict]) -> None:
+def test_progress_grows_from_near_zero_to_one_along_the_centre_line(driven: tuple[PandaMazeEnv, TensorDict]) -> None:
     progress = driven[1]["progress"].squeeze(-1)
     assert 0 < float(progress[0]) < 0.05
     assert (progress.diff() > -1e-4).all()
     assert float(progress[-1]) == 1.0
 
 
-def test_the_tool_stays_on_the_floor_all_the_way_up_and_down(driven: tuple[PandaMazeEnv, TensorDict]) -> None:
+def test_the_tool_stays_on_the_floor_on_ramps_up_and_down(driven: tuple[PandaMazeEnv, TensorDict]) -> None:
     env, run = driven
     centre = build_corridor(paper_layout()).centre
-    way = run["progress"].squeeze(-1).double().numpy() * travelled(centre)[-1]
-    above = run["pose"][:, 2].double().numpy() - np.interp(way, travelled(centre), centre[:, 2])
+    distance = run["progress"].squeeze(-1).double().numpy() * travelled(centre)[-1]
+    above = run["pose"][:, 2].double().numpy() - np.interp(distance, travelled(centre), centre[:, 2])
     slope = 0.04 / (0.19 - 0.07)
     assert above.min() > -2e-3
     assert above.max() < env.tool.stem_radius * slope + 3e-3  # on its edge
     assert run["pose"][:, 2].max() > 0.04
 
 
-def test_the_privileged_place_is_that_of_the_tool_in_the_corridor(driven: tuple[PandaMazeEnv, TensorDict]) -> None:
+def test_the_privileged_observations_are_the_tools_offset_and_the_corridors_heading(
+    driven: tuple[PandaMazeEnv, TensorDict],
+) -> None:
     env, run = driven
     assert (run["corridor_offset"].abs() <= 0.5 * 0.055 - env.tool.stem_radius + 1e-3).all()
     headings = [heading for _, _, heading in walk(paper_layout())]
@@ -236,7 +238,7 @@ def test_the_privileged_place_is_that_of_the_tool_in_the_corridor(driven: tuple[
     assert seen_headings == pytest.approx(sorted({round(value, 4) for value in headings}), abs=2e-4)
 
 
-def test_the_progress_terms_add_up_to_the_way_made_plus_the_bonus_for_the_end(
+def test_the_progress_terms_add_up_to_the_distance_travelled_plus_the_bonus_for_the_end(
     driven: tuple[PandaMazeEnv, TensorDict],
 ) -> None:
     run = driven[1]

@@ -14,13 +14,13 @@ F64 = torch.float64
 
 
 def in_front_of(env, row, distance, height=0.0, quat=(1.0, 0.0, 0.0, 0.0)):
-    """Put the box of a row at a distance from its goal."""
+    """Put the box of one environment at a distance from its goal."""
     x, y = env._episode.goal[row].tolist()
     put_box(env, row, (x - distance, y, float(env._episode.half[row]) + height), quat)
 
 
 def tilted(degrees):
-    """Quaternion of a tilt about the x axis."""
+    """Quaternion of a rotation about the x axis."""
     return (math.cos(math.radians(degrees) / 2), math.sin(math.radians(degrees) / 2), 0.0, 0.0)
 
 
@@ -56,14 +56,14 @@ def test_the_success_radius_is_the_one_given():
     assert act(env, observation)["success"].squeeze(-1).tolist() == [True, False]
 
 
-def test_a_reset_is_no_success():
+def test_a_reset_is_never_a_success():
     assert not PandaPushEnv(16, seed=0).reset()["success"].any()
 
 
 # -- progress and reward -----------------------------------------------------------------------------------------------
 
 
-def test_progress_is_the_part_of_the_way_covered_and_stays_between_zero_and_one():
+def test_progress_is_the_share_of_the_distance_covered_and_stays_between_zero_and_one():
     env = PandaPushEnv(5, duration=0.05, seed=0, dtype=F64)
     observation = env.reset()
     assert (observation["progress"] == 0).all()
@@ -91,7 +91,7 @@ def test_the_reward_is_the_sum_of_its_terms():
         assert (terms[name] != 0).any(), name
 
 
-def test_the_progress_terms_of_an_episode_add_up_to_the_way_covered_plus_the_final_bonus():
+def test_the_progress_terms_of_an_episode_add_up_to_the_distance_covered_plus_the_final_bonus():
     weights = PushRewards(progress=2.0, precision=3.0, success=5.0)
     env = PandaPushEnv(4, duration=0.04, rewards=weights, seed=0, dtype=F64)
     observation = env.reset()
@@ -108,7 +108,7 @@ def test_the_progress_terms_of_an_episode_add_up_to_the_way_covered_plus_the_fin
     assert_close(total, 2 * (first - last) / first + 3 * torch.exp(-last / 0.02) + 5 * done, rtol=0, atol=1e-9)
 
 
-def test_the_free_space_term_ends_for_good_when_the_box_has_moved():
+def test_the_free_space_term_ends_for_good_once_the_box_has_moved():
     env = PandaPushEnv(2, seed=0)
     torque = torques(env, 8, scale=0.3)
     observation = start = env.reset()
@@ -116,7 +116,7 @@ def test_the_free_space_term_ends_for_good_when_the_box_has_moved():
     for k in range(8):
         if k == 2:
             in_front_of(env, 1, 0.1)
-        if k == 5:  # back where it was
+        if k == 5:  # back to its start
             put_box(env, 1, start["box_pose"][1, :3].tolist(), start["box_pose"][1, 3:].tolist())
         observation = act(env, observation, torque[:, k])
         terms.append(observation["reward_terms", "free_space"].squeeze(-1))
@@ -126,7 +126,7 @@ def test_the_free_space_term_ends_for_good_when_the_box_has_moved():
     assert not free[3:, 1].any()
 
 
-def test_force_and_power_are_charged_as_they_are_measured():
+def test_the_contact_and_power_terms_charge_the_measured_force_and_power():
     weights = PushRewards(contact=2.0, force_limit=0.5, power=3.0)
     env = PandaPushEnv(8, duration=1.0, rewards=weights, seed=0, dtype=F64)
     step = rollout(env, torques(env, 30, scale=0.4))["next"]
@@ -145,7 +145,7 @@ def test_force_below_the_limit_costs_nothing():
 # -- observations ------------------------------------------------------------------------------------------------------
 
 
-def test_the_box_pose_is_that_of_the_simulation():
+def test_the_observed_box_pose_is_the_simulated_one():
     env = PandaPushEnv(4, seed=0, dtype=F64)
     observation = env.reset()
     for row in range(4):
@@ -153,7 +153,7 @@ def test_the_box_pose_is_that_of_the_simulation():
         assert_close(observation["box_pose"][row], torch.from_numpy(np.concatenate([box.xpos, box.xquat])))
 
 
-def test_a_box_that_is_pushed_is_seen_to_move():
+def test_the_observed_box_pose_follows_a_moving_box_and_its_start_does_not():
     env = PandaPushEnv(2, seed=0)
     start = env.reset()
     for row in range(2):
@@ -165,7 +165,7 @@ def test_a_box_that_is_pushed_is_seen_to_move():
     assert torch.equal(start["box_start"], start["box_pose"][:, :2])
 
 
-def test_what_is_known_beforehand_stays_over_an_episode_and_changes_with_the_next():
+def test_goal_start_and_via_points_are_constant_in_an_episode_and_change_with_the_next():
     env = PandaPushEnv(3, duration=0.05, seed=0)
     run = rollout(env, torques(env, 10))["next"]
     for key in ("box_start", "goal", "via_position"):
@@ -175,11 +175,11 @@ def test_what_is_known_beforehand_stays_over_an_episode_and_changes_with_the_nex
         assert (value[:, 0] != value[:, 5]).any(-1).all(), key
 
 
-def test_the_via_points_are_the_tool_a_place_behind_the_box_and_the_goal_less_the_offset():
+def test_the_via_points_are_the_tools_start_behind_the_box_and_touching_the_box_at_the_goal():
     env = PandaPushEnv(32, seed=0, dtype=F64)
     observation = env.reset()
-    way = observation["goal"] - observation["box_start"]
-    heading = torch.atan2(way[:, 1], way[:, 0])
+    push = observation["goal"] - observation["box_start"]
+    heading = torch.atan2(push[:, 1], push[:, 0])
     direction = torch.stack([heading.cos(), heading.sin()], -1)
     offset = 0.5 * observation["box_size"] + 0.5 * PADDLE.bar[0]
     start, behind, end = observation["via_position"].unbind(1)
@@ -194,7 +194,7 @@ def test_the_via_points_are_the_tool_a_place_behind_the_box_and_the_goal_less_th
     assert (torch.linalg.eigvalsh(observation["via_cov"]) > 0).all()
 
 
-def test_a_partial_reset_redraws_the_task_of_its_rows_only():
+def test_a_partial_reset_draws_new_tasks_for_its_environments_only():
     env = PandaPushEnv(4, seed=0)
     before = env.reset()
     mask = torch.tensor([True, False, False, True])
@@ -221,7 +221,7 @@ def test_the_tool_touches_nothing_at_the_start_of_an_episode():
             assert gap > 0.005, row
 
 
-def test_a_push_is_terminated_at_its_horizon_and_not_truncated():
+def test_a_pushing_episode_is_terminated_at_its_horizon_and_not_truncated():
     env = PandaPushEnv(2, duration=0.03, seed=0)
     ends = rollout(env, torques(env, 6))["next"]
     expected = torch.tensor([False, False, True] * 2)
@@ -234,24 +234,24 @@ def test_a_push_is_terminated_at_its_horizon_and_not_truncated():
 
 
 @pytest.mark.parametrize("box_sizes", [(0.07,), (0.06, 0.1), ()])
-def test_a_box_that_does_not_exist_is_refused_with_those_that_do(box_sizes):
-    with pytest.raises(ValueError, match=r"box_sizes are .*; expected edges out of \(0.06, 0.08\) m"):
+def test_an_unknown_box_size_is_refused_with_the_known_ones(box_sizes):
+    with pytest.raises(ValueError, match=r"box_sizes are .*; expected one or more of \(0.06, 0.08\) m"):
         PandaPushEnv(1, box_sizes=box_sizes)
 
 
 @pytest.mark.parametrize("radius", [0.0, -0.01, float("nan")])
 def test_a_success_radius_that_is_not_positive_is_refused(radius):
-    with pytest.raises(ValueError, match=r"success_radius is .*; expected a length above 0 m"):
+    with pytest.raises(ValueError, match=r"success_radius is .*; expected a distance above 0 m"):
         PandaPushEnv(1, success_radius=radius)
 
 
 @pytest.mark.parametrize("limits", [(0.6, 0.2), (float("nan"), 0.2)])
-def test_a_range_that_is_empty_is_refused(limits):
-    with pytest.raises(ValueError, match=r"randomisation range friction is .*; expected low <= high"):
+def test_an_empty_range_is_refused(limits):
+    with pytest.raises(ValueError, match=r"PushRandomisation.friction is .*; expected low <= high"):
         PushRandomisation(friction=limits)
 
 
-def test_a_range_of_one_number_fixes_what_is_drawn():
+def test_a_range_of_a_single_number_fixes_that_quantity():
     env = PandaPushEnv(3, randomisation=PushRandomisation(friction=(0.3, 0.3), goal_x=(0.65, 0.65)), seed=0)
     assert_close(env.reset()["goal"][:, 0], torch.full((3,), 0.65))
     assert all(model.geom("box").friction[0] == 0.3 for model in env.engine.models)

@@ -5,15 +5,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from ppt_rl.envs import MazeLayout, MazeRanges, Straight
+from ppt_rl.envs import MazeLayout, Straight
 from ppt_rl.evaluation import record_episodes, run_episodes
 from ppt_rl.tasks.maze import (
     RecedingConfig,
     StepWiseMazeConfig,
     make_follower,
     make_follower_env,
-    make_maze_env,
     make_maze_promp,
+    make_test_env,
+    make_training_env,
     maze_metrics,
 )
 
@@ -21,7 +22,7 @@ CONFIG = RecedingConfig(num_envs=2, num_threads=1, physics_dt=0.002, seed=3)
 
 
 def test_training_and_test_are_built_from_the_same_options_but_for_mazes_and_time():
-    training, test = make_maze_env(CONFIG), make_maze_env(CONFIG, ranges=MazeRanges())
+    training, test = (make(CONFIG, num_envs=2, seed=3) for make in (make_training_env, make_test_env))
     training.reset()
     test.reset()
     assert training.duration == CONFIG.training_duration
@@ -54,7 +55,7 @@ def test_the_hand_over_dies_out_at_the_recipes_chunk_and_grows_at_an_eighth_of_i
 
 def test_the_follower_reaches_the_end_behind_the_tank_of_the_policies():
     layout = MazeLayout((Straight(0.12),), start=(0.5, -0.06))
-    env = make_follower_env(CONFIG, make_maze_env(CONFIG, layouts=[layout], num_envs=1))
+    env = make_follower_env(CONFIG, make_test_env(CONFIG, given=[layout], num_envs=1))
     rows = run_episodes(env, make_follower(CONFIG), 1)
     assert rows["success"] == [1.0]
     assert rows["max_power"] <= CONFIG.p_max
@@ -66,7 +67,7 @@ def test_the_follower_reaches_the_end_behind_the_tank_of_the_policies():
 def test_every_episode_is_in_a_maze_of_its_own_whoever_ends_first():
     lengths = (0.09, 0.13, 0.12, 0.1)
     layouts = [MazeLayout((Straight(length),), start=(0.5, -0.06)) for length in lengths]
-    env = make_follower_env(CONFIG, make_maze_env(CONFIG, layouts=layouts, num_envs=2))
+    env = make_follower_env(CONFIG, make_test_env(CONFIG, given=layouts, num_envs=2))
     rows = run_episodes(env, make_follower(CONFIG), 4)
     assert rows["success"].all()
     assert rows["control_steps"].argsort().tolist() == [0, 3, 2, 1]  # as by length
@@ -76,7 +77,7 @@ def test_every_episode_is_in_a_maze_of_its_own_whoever_ends_first():
 
 def test_recorded_episodes_end_row_by_row_and_keep_what_ended_them():
     layouts = [MazeLayout((Straight(length),), start=(0.5, -0.06)) for length in (0.14, 0.09)]
-    env = make_follower_env(CONFIG, make_maze_env(CONFIG, layouts=layouts))
+    env = make_follower_env(CONFIG, make_test_env(CONFIG, given=layouts, num_envs=2))
     episodes = record_episodes(env, make_follower(CONFIG), ("pose",))
     long, short = episodes["control_steps"].squeeze(-1).tolist()
     assert short < long == episodes["trace", "pose"].shape[1]

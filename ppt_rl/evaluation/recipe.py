@@ -1,0 +1,199 @@
+"""A recipe: everything that makes a variant, and where recipes are found."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+from torchrl.envs import Compose, Transform, TransformedEnv
+
+from ppt_rl.envs import ArmEnv
+from ppt_rl.evaluation.task import Task
+from ppt_rl.training import CheckpointMismatch, Learners, prepare_torch, run_script, train_in_run_dir
+
+__all__ = ["Recipe", "find_recipe", "shipped_recipes"]
+
+_PACKAGE, _PREFIX = "ppt_rl.recipes", "ppo_"
+
+
+def _no_modules(config: Any) -> dict[str, nn.Module]:
+    return {}
+
+
+def _no_fit(config: Any, **modules: nn.Module) -> None:
+    return None
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that makes a variant: its task, options, chain and networks.
+
+    Attributes:
+        variant: name of the variant, unique: ``ppt_push``.
+        label: its name in tables and figures: ``PPT``.
+        task: the task it learns.
+        config: dataclass of its options, a subclass of :class:`~ppt_rl.training.RunConfig` with a property or field
+            ``batch_steps``: policy steps of every environment in a batch.
+        make_chain: from options, bare environment and modules (by name), the list of transforms.
+        make_policy: from options and environment, actor and critic.
+        make_modules: from options, what a checkpoint holds besides the networks, such as the movement primitive.
+        fit: fits the modules before training, in place.
+        has_tank: whether the chain has an energy tank with the options ``p_max`` and ``e_max``.
+        has_reference: whether an action of zero is a policy of its own, the reference alone.
+        trace: observations of this chain to record besides those of the task and the tank.
+    """
+
+    variant: str
+    label: str
+    task: Task
+    config: type
+    make_chain: Callable[..., list[Transform]]
+    make_policy: Callable[[Any, TransformedEnv], tuple[nn.Module, nn.Module]]
+    make_modules: Callable[[Any], Mapping[str, Any]] = _no_modules
+    fit: Callable[..., None] = _no_fit
+    has_tank: bool = False
+    has_reference: bool = False
+    trace: tuple[str, ...] = ()
+
+    @property
+    def file(self) -> Path:
+        """The file that defines the chain, which is that of the recipe."""
+        return Path(inspect.getfile(self.make_chain)).resolve()
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """What a checkpoint says of its origin: the variant and, for a recipe of a user's own, its file."""
+        shipped = self.file == shipped_recipes().get(self.variant)
+        return {"variant": self.variant} if shipped else {"variant": self.variant, "recipe": str(self.file)}
+
+    @property
+    def traced(self) -> tuple[str, ...]:
+        """Observations to record at every control step."""
+        tank = ("tank_energy", "valve") if self.has_tank else ()
+        return (*self.task.pictures.configuration, *self.task.pictures.trace, *tank, *self.trace)
+
+    def on(self, base: ArmEnv, config: Any, modules: Mapping[str, nn.Module]) -> TransformedEnv:
+        """An environment with the chain of this recipe.
+
+        Args:
+            base: bare environment of the task.
+            config: options.
+            modules: what :attr:`make_modules` returned.
+
+        Returns:
+            The environment.
+        """
+        return TransformedEnv(base, Compose(*self.make_chain(config, base, **modules)))
+
+    def make_env(
+        self,
+        config: Any,
+        modules: Mapping[str, nn.Module],
+        *,
+        num_envs: int,
+        seed: int | None = None,
+        audit: bool = False,
+        given: Sequence[Any] = (),
+    ) -> TransformedEnv:
+        """The environment of the test with the chain of this recipe.
+
+        Args:
+            config: options.
+            modules: what :attr:`make_modules` returned.
+            num_envs: number of environments that step together.
+            seed: seed of the episodes; None draws one.
+            audit: whether power and work are measured at the rate of the physics.
+            given: episodes to run in turn, in the task's own form, instead of random ones.
+
+        Returns:
+            The environment.
+        """
+        base = self.task.make_test_env(config, num_envs=num_envs, seed=seed, audit=audit, given=given)
+        return self.on(base, config, modules)
+
+    def train(self, config: Any) -> Path:
+        """Train in ``config.run_dir``, afresh or from its newest checkpoint.
+
+        Args:
+            config: options.
+
+        Returns:
+            Path of the last checkpoint.
+
+        Raises:
+            CheckpointMismatch: if the directory holds a run that is not to be resumed, or one that does not fit.
+        """
+        prepare_torch(config)
+        modules = self.make_modules(config)
+        self.fit(config, **modules)
+        base = self.task.make_training_env(config, num_envs=config.num_envs, seed=config.seed, audit=False)
+        env = self.on(base, config, modules)
+        learners = Learners(*self.make_policy(config, env), extra=modules)
+        return train_in_run_dir(config, env, learners, policy_steps=config.batch_steps, identity=self.identity)
+
+    def main(self) -> None:
+        """Train with the options of the command line: what the recipe does as a script."""
+        run_script(self.train, self.config)
+
+
+def shipped_recipes() -> dict[str, Path]:
+    """Recipes that come with the library.
+
+    Returns:
+        Their files by variant, in alphabetical order.
+    """
+    package = importlib.import_module(_PACKAGE)
+    folder = Path(package.__path__[0]).resolve()
+    names = sorted(info.name for info in pkgutil.iter_modules(package.__path__) if info.name.startswith(_PREFIX))
+    return {name.removeprefix(_PREFIX): folder / f"{name}.py" for name in names}
+
+
+def find_recipe(name: str | Path) -> Recipe:
+    """Find a recipe.
+
+    Args:
+        name: a variant that comes with the library, or the file of a recipe of your own, which defines ``RECIPE``.
+
+    Returns:
+        The recipe.
+
+    Raises:
+        CheckpointMismatch: if there is none of that name, or the file defines no recipe.
+    """
+    known = shipped_recipes()
+    if str(name) in known:
+        return importlib.import_module(f"{_PACKAGE}.{_PREFIX}{name}").RECIPE
+    path = Path(name).resolve()
+    if path.suffix != ".py" or not path.is_file():
+        raise CheckpointMismatch(
+            f"recipe {str(name)!r} is unknown; expected one of {list(known)}, or the file (.py) of a recipe."
+        )
+    shipped = {file: variant for variant, file in known.items()}
+    return find_recipe(shipped[path]) if path in shipped else _recipe_of_file(path)
+
+
+def _recipe_of_file(path: Path) -> Recipe:
+    """The recipe that a user's file defines; it may import its neighbours, as when it is run as a script."""
+    module_name = f"ppt_rl_user_recipe_{path.stem}_{abs(hash(path))}"
+    module = sys.modules.get(module_name)
+    if module is None:
+        if str(path.parent) not in sys.path:
+            sys.path.insert(0, str(path.parent))
+        spec = importlib.util.spec_from_file_location(module_name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[module_name] = module
+        spec.loader.exec_module(module)
+    recipe = getattr(module, "RECIPE", None)
+    if not isinstance(recipe, Recipe):
+        raise CheckpointMismatch(f"{path} defines no recipe; expected RECIPE = Recipe(...) at its top level.")
+    return recipe

@@ -1,0 +1,155 @@
+"""What a study keeps of a finished run: curves, every evaluated episode, summaries, recorded rollouts."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ppt_rl.evaluation.columns import COLUMNS
+from ppt_rl.evaluation.episodes import record_episodes
+from ppt_rl.evaluation.judge import Evaluation, evaluate, rows_of
+from ppt_rl.evaluation.policy import Policy, restored_config
+from ppt_rl.evaluation.recipe import Recipe
+from ppt_rl.evaluation.statistics import distribution
+from ppt_rl.evaluation.tables import as_csv, from_csv
+from ppt_rl.training.logs import read_scalar, write_bytes_atomically, write_text_atomically
+
+__all__ = ["KeptRun", "curves_csv", "keep_run"]
+
+Array = NDArray[np.float64]
+#: Logged scalars that are kept.
+_CURVES = (*COLUMNS, "max_power_measured", "work", "reward", "kl", "seconds")
+
+
+@dataclass(frozen=True)
+class KeptRun:
+    """One variant with one seed.
+
+    Attributes:
+        recipe: the variant.
+        seed: seed of everything random in training.
+        run_dir: directory of logs and checkpoints.
+        results: directory of what is kept.
+    """
+
+    recipe: Recipe
+    seed: int
+    run_dir: Path
+    results: Path
+
+    @property
+    def finished(self) -> bool:
+        """Whether everything was kept; the summaries are written last."""
+        return (self.results / "evaluation.json").exists()
+
+    def evaluation(self) -> dict[str, Any]:
+        """How the run was judged: ``episodes`` (per group), ``eval_seed``, ``groups``, ``summary`` and ``audit``."""
+        return json.loads((self.results / "evaluation.json").read_text())
+
+    def config(self) -> Any:
+        """Options of the run."""
+        path = self.results / "config.json"
+        return restored_config(self.recipe, json.loads(path.read_text())["config"], path)
+
+    def curves(self) -> dict[str, Array]:
+        """Logged scalars by name, and ``control_steps``."""
+        return from_csv((self.results / "curves.csv").read_text())
+
+    def actors(self) -> list[str]:
+        """Who was judged: the variant first, then baselines."""
+        return list(self.evaluation()["summary"])
+
+    def episodes(self, actor: str | None = None) -> dict[str, Array]:
+        """Every evaluated episode.
+
+        Args:
+            actor: a baseline; None for the policy.
+
+        Returns:
+            Arrays by metric; ``group`` is the index of the episode's group.
+        """
+        return from_csv(gzip.decompress(self._episodes_path(actor).read_bytes()).decode())
+
+    def rollouts(self) -> dict[str, Array]:
+        """Recorded episodes: observations ``(N, T, n)`` by name, and ``steps`` ``(N,)``, the length of each."""
+        with np.load(self.results / "rollouts.npz") as file:
+            return {name: file[name].astype(np.float64) for name in file.files}
+
+    def _episodes_path(self, actor: str | None) -> Path:
+        own = actor is None or actor == self.recipe.variant
+        name = "episodes" if own else str(actor).replace(" ", "_")
+        return self.results / f"{name}.csv.gz"
+
+    def write_episodes(self, evaluation: Evaluation) -> None:
+        """Write every evaluated episode, a compressed CSV file for each actor.
+
+        Args:
+            evaluation: rows by actor and group.
+        """
+        for actor, groups in evaluation.rows.items():
+            rows = [row | {"group": index} for index, part in enumerate(groups.values()) for row in rows_of(part)]
+            write_bytes_atomically(self._episodes_path(actor), gzip.compress(as_csv(rows).encode(), mtime=0))
+
+
+def keep_run(run: KeptRun, policy: Policy, *, episodes: int, seed: int, num_envs: int) -> None:
+    """Judge a trained policy in each group of episodes and keep the results; with seed 0 the baselines as well.
+
+    Args:
+        run: the run.
+        policy: its policy.
+        episodes: number of episodes in each group.
+        seed: seed of the episodes.
+        num_envs: number of environments that step together.
+    """
+    baselines = run.seed == 0 and run.recipe.has_reference
+    evaluation = evaluate(
+        policy, episodes=episodes, seed=seed, num_envs=num_envs, groups=True, baselines=baselines, everything=False
+    )
+    run.write_episodes(evaluation)
+    write_bytes_atomically(run.results / "rollouts.npz", _recorded(policy, seed))
+    write_text_atomically(run.results / "curves.csv", curves_csv(run.run_dir))
+    shutil.copyfile(run.run_dir / "config.json", run.results / "config.json")
+    rows = evaluation.rows
+    record = {
+        "variant": run.recipe.variant, "seed": run.seed, "episodes": episodes, "eval_seed": seed,
+        "groups": list(rows[run.recipe.variant]),
+        "summary": {a: {group: evaluation.summary(a, group) for group in part} for a, part in rows.items()},
+        "audit": {a: {group: distribution(part[group]) for group in part} for a, part in rows.items()},
+    }  # fmt: skip
+    write_text_atomically(run.results / "evaluation.json", json.dumps(record, indent=2) + "\n")
+
+
+def curves_csv(run_dir: Path) -> str:
+    """Logged scalars as CSV, a row for each batch in which episodes ended.
+
+    Args:
+        run_dir: directory of a trained run.
+
+    Returns:
+        The text.
+    """
+    steps, _ = read_scalar(run_dir, "success")
+    table = {name: dict(zip(*read_scalar(run_dir, name), strict=True)) for name in _CURVES}
+    return as_csv([{"control_steps": step, **{name: values[step] for name, values in table.items()}} for step in steps])
+
+
+def _recorded(policy: Policy, seed: int) -> bytes:
+    """Episodes of the task's choice as a compressed archive of arrays."""
+    pictures = policy.recipe.task.pictures
+    env = policy.make_env(pictures.rollouts, seed=seed, privileged=True, given=pictures.given())
+    episodes = record_episodes(env, policy.actor, policy.recipe.traced)
+    env.close()
+    arrays = {key: value.numpy() for key, value in episodes["trace"].items()}
+    arrays = {key: value.astype(np.float32) if value.dtype.kind == "f" else value for key, value in arrays.items()}
+    arrays["steps"] = episodes["control_steps"].squeeze(-1).numpy()
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()

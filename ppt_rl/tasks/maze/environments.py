@@ -1,0 +1,46 @@
+"""Where maze policies train, and where they are judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ppt_rl.envs import MazeEnv, MazeLayout, MazeRanges
+from ppt_rl.tasks.config import env_settings
+from ppt_rl.tasks.maze.config import MazeConfig
+
+__all__ = ["make_test_env", "make_training_env"]
+
+
+def make_training_env(
+    config: MazeConfig, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[Any] = ()
+) -> MazeEnv:
+    """Straight corridors to train in.
+
+    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given``
+    must be empty, since training corridors are drawn.
+
+    Raises:
+        ValueError: if mazes are given.
+    """
+    if given:
+        raise ValueError(f"{len(given)} mazes are given; expected none, since training corridors are drawn.")
+    settings = env_settings(config, num_envs=num_envs, seed=seed, audit=audit)
+    return MazeEnv.straight(duration=config.training_duration, rewards=config.rewards, **settings)
+
+
+def make_test_env(
+    config: MazeConfig, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[MazeLayout] = ()
+) -> MazeEnv:
+    """Random mazes to be judged in, those of the files ``config.layouts``, or ``given`` ones, which are taken in turn.
+
+    ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`.
+
+    Raises:
+        ValueError: if a maze cannot be built.
+    """
+    settings = env_settings(config, num_envs=num_envs, seed=seed, audit=audit)
+    layouts = given or [MazeLayout.load(path) for path in config.layouts]
+    if layouts:
+        return MazeEnv.of(layouts, duration=config.duration, rewards=config.rewards, **settings)
+    return MazeEnv.mazes(ranges=MazeRanges(), duration=config.duration, rewards=config.rewards, **settings)

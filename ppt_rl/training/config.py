@@ -1,0 +1,147 @@
+"""Options of a training run, and their JSON form."""
+
+from __future__ import annotations
+
+import json
+import typing
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from types import NoneType
+from typing import Any, TypeVar
+
+import torch
+
+from ppt_rl.training.ppo import PPOConfig
+
+__all__ = ["RunConfig", "as_json", "from_json", "prepare_torch", "with_settings"]
+
+_Config = TypeVar("_Config")
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Options of every training run.
+
+    Attributes:
+        run_dir: directory of logs, checkpoints and figures.
+        seed: seed of everything random.
+        resume: continue from the newest checkpoint in run_dir.
+        num_envs: number of environments that step together.
+        num_threads: physics threads; 0 takes one per CPU.
+        torch_threads: threads of torch during the simulation; its tensors are small, so more than one gains nothing.
+        ppo: settings of PPO.
+    """
+
+    run_dir: Path = Path("runs/run")
+    seed: int = 0
+    resume: bool = False
+    num_envs: int = 128
+    num_threads: int = 0
+    torch_threads: int = 1
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+
+
+def prepare_torch(config: RunConfig) -> None:
+    """Seed torch and set its number of threads.
+
+    Args:
+        config: options of the run.
+    """
+    torch.set_num_threads(config.torch_threads)
+    torch.manual_seed(config.seed)
+
+
+def as_json(config: Any) -> dict[str, Any]:
+    """Convert a configuration dataclass to plain JSON data.
+
+    Args:
+        config: dataclass instance; paths become strings, tuples become lists.
+
+    Returns:
+        Its fields, nested.
+
+    Raises:
+        TypeError: if it is not a dataclass instance.
+    """
+    if not is_dataclass(config) or isinstance(config, type):
+        raise TypeError(f"config is a {type(config).__name__}; expected a dataclass instance.")
+    return json.loads(json.dumps(asdict(config), default=str))
+
+
+def from_json(config_class: type[_Config], settings: Mapping[str, Any]) -> _Config:
+    """Rebuild a configuration dataclass from its JSON form.
+
+    Args:
+        config_class: the dataclass.
+        settings: what :func:`as_json` returned; every field must be there and no other.
+
+    Returns:
+        The configuration.
+
+    Raises:
+        ValueError: if a field is missing or unknown, or a value is impossible.
+    """
+    hints = typing.get_type_hints(config_class)
+    known = {f.name for f in fields(config_class)}  # type: ignore[arg-type]
+    if set(settings) != known:
+        raise ValueError(
+            f"the settings of {config_class.__name__} have no {sorted(known - set(settings))} and unknown "
+            f"{sorted(set(settings) - known)}; expected exactly the fields {sorted(known)}."
+        )
+    try:
+        return config_class(**{name: _restored(hints[name], value) for name, value in settings.items()})
+    except TypeError as error:
+        raise ValueError(f"a setting of {config_class.__name__} does not fit: {error}.") from error
+
+
+def with_settings(config: _Config, settings: Mapping[str, str]) -> _Config:
+    """A configuration with some fields replaced, as given on a command line.
+
+    Args:
+        config: dataclass instance.
+        settings: text by field name; ``ppo.gamma`` names a field of a nested dataclass. Several values of a tuple are
+            separated by commas.
+
+    Returns:
+        The new configuration.
+
+    Raises:
+        ValueError: if a field is unknown or its text does not fit its type.
+    """
+    hints = typing.get_type_hints(type(config))
+    for name, text in settings.items():
+        head, _, rest = name.partition(".")
+        if head not in hints:
+            raise ValueError(f"option {name!r} is unknown; expected one of {sorted(hints)}.")
+        old = getattr(config, head)
+        new = with_settings(old, {rest: text}) if rest else _parsed(name, hints[head], text)
+        config = replace(config, **{head: new})  # type: ignore[type-var]
+    return config
+
+
+def _restored(hint: Any, value: Any) -> Any:
+    """A JSON value in the type of its field."""
+    if is_dataclass(hint) and isinstance(value, Mapping):
+        return from_json(hint, value)  # type: ignore[arg-type]
+    options = typing.get_args(hint)
+    if typing.get_origin(hint) is tuple and isinstance(value, list):
+        return tuple(_restored(options[0], item) for item in value)
+    if hint is Path:
+        return Path(value)
+    return value
+
+
+def _parsed(name: str, hint: Any, text: str) -> Any:
+    """Text of a command line in the type of its field."""
+    options = typing.get_args(hint)
+    if typing.get_origin(hint) is tuple:
+        return tuple(_parsed(name, options[0], part) for part in text.split(",") if part)
+    if NoneType in options:
+        return None if text.lower() == "none" else _parsed(name, options[0], text)
+    try:
+        if hint is bool:
+            return {"true": True, "false": False}[text.lower()]
+        return hint(text)
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"option {name} is {text!r}; expected {getattr(hint, '__name__', hint)}.") from error

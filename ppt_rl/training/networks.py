@@ -1,0 +1,63 @@
+"""Actor and critic sized for an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import nn
+from torchrl.envs import EnvBase
+
+from ppt_rl.modules.actor_critic import Mirror, make_actor, make_critic, update_input_norm
+
+__all__ = ["begin_norms", "make_actor_critic"]
+
+
+def make_actor_critic(
+    env: EnvBase,
+    actor_keys: Sequence[str],
+    critic_keys: Sequence[str],
+    *,
+    initial_scale: float,
+    mirror: Mirror | None = None,
+) -> tuple[nn.Module, nn.Module]:
+    """Actor and critic sized for an environment.
+
+    Args:
+        env: environment with the recipe's chain.
+        actor_keys: observations of the policy; none of them privileged.
+        critic_keys: observations of the value network.
+        initial_scale: standard deviation of the untrained policy [action units].
+        mirror: mirror symmetry that the policy shall have.
+
+    Returns:
+        Actor and critic.
+
+    Raises:
+        KeyError: if an observation is unknown.
+    """
+    spec = env.observation_spec
+    unknown = [key for key in (*actor_keys, *critic_keys) if key not in spec.keys(True, True)]
+    if unknown:
+        raise KeyError(f"observations {unknown} are unknown; the environment has {list(spec.keys(True, True))}.")
+
+    def width(keys: Sequence[str]) -> int:
+        return sum(spec[key].shape[-1] for key in keys)
+
+    size = env.full_action_spec["action"].shape[-1]
+    actor = make_actor(list(actor_keys), width(actor_keys), size, initial_scale=initial_scale, mirror=mirror)
+    return actor.to(env.device), make_critic(list(critic_keys), width(critic_keys)).to(env.device)
+
+
+def begin_norms(env: EnvBase, modules: Sequence[nn.Module], resets: int = 4) -> None:
+    """Initialise the input statistics from the first observations of fresh episodes; training then updates them.
+
+    Args:
+        env: environment with the recipe's chain.
+        modules: actor and critic.
+        resets: number of batches of episodes.
+    """
+    samples = [env.reset() for _ in range(resets)]
+    data = torch.cat([sample.select(*env.observation_keys) for sample in samples])
+    for module in modules:
+        update_input_norm(module, data)

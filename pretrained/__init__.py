@@ -1,0 +1,1 @@
+"""Published policies, a directory each: weights (safetensors) and a card."""

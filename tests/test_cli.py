@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ppt_rl.commands import CalibrateTank, Evaluate, Film, Judged, Policies, Study, Sweep, _pairs
+from ppt_rl.envs.mujoco_imports import rendering_backend
+from ppt_rl.evaluation import COLUMNS, shipped_recipes
+from ppt_rl.recipes.ppo_ppt_push import Config
+from ppt_rl.training import with_settings
+
+QUICK = ("physics_dt=0.002", "duration=3.0")
+
+
+def command(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "ppt_rl", *args], cwd=cwd, capture_output=True, text=True)
+
+
+def test_help_names_every_command_without_importing_torch(tmp_path):
+    code = """
+import sys
+from ppt_rl import cli
+sys.argv = ["ppt-rl", "--help"]
+try:
+    cli.main()
+except SystemExit:
+    assert "torch" not in sys.modules
+"""
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert all(
+        name in run.stdout for name in ("train", "evaluate", "film", "study", "calibrate-tank", "sweep", "policies")
+    )
+
+
+def test_the_last_line_of_an_evaluation_is_json_from_any_folder(tmp_path):
+    run = command(
+        "evaluate", "ppt_push", "--episodes", "4", "--seed", "5", "--json", "--baseline", "--set", *QUICK, cwd=tmp_path
+    )
+    assert run.returncode == 0, run.stderr
+    report = json.loads(run.stdout.splitlines()[-1])
+    assert list(report) == [*COLUMNS, "baselines"]
+    assert list(report["baselines"]) == ["reference alone"]
+
+
+@pytest.mark.parametrize("variant", ["ppt_push", "st_maze"])
+def test_help_of_a_training_shows_the_options_of_its_recipe(tmp_path, variant):
+    run = command("train", variant, "--help", cwd=tmp_path)
+    assert run.returncode == 0
+    assert "--run-dir" in run.stdout
+    assert f"runs/{variant}" in run.stdout
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (("train", "nothing"), "recipe 'nothing' is unknown; expected one of"),
+        (("evaluate", "nothing"), "nothing does not exist; expected a checkpoint or a run's directory"),
+        (("evaluate", "ppt_push", "--set", "p_max"), "expected NAME=VALUE"),
+        (("evaluate", "ppt_push", "--set", "pmax=1"), "option 'pmax' is unknown; expected one of"),
+        (("evaluate", "ppt_push", "--set", "p_max=much"), "option p_max is 'much'; expected float"),
+        (("evaluate", "ppt_push", "--set", "arm=octopus"), "octopus"),
+        (("evaluate", "pp_push", "--set", "e_max=1"), "option 'e_max' is unknown"),
+        (("evaluate", "ppt_push", "--episodes", "0"), "episodes is 0; expected at least 1"),
+        (("study", "push", "ppt_maze"), "expected recipes of one task"),
+        (("sweep", "ppt_push"), "expected policies of one task that has a sweep"),
+        (("calibrate-tank", "ppt_push", "--quantile", "2"), "quantile is 2.0; expected a share"),
+    ],
+)
+def test_a_mistake_ends_with_one_line_of_advice(tmp_path, args, message):
+    run = command(*args, cwd=tmp_path)
+    assert run.returncode == 2
+    assert message in run.stderr
+    assert "Traceback" not in run.stderr
+
+
+def test_published_policies_are_listed_with_their_figures(capsys):
+    Policies().run()
+    text = capsys.readouterr().out
+    assert all(f"| {variant} |" in text for variant in shipped_recipes())
+    assert "success [0-1]" in text
+
+
+@pytest.mark.skipif(rendering_backend() == "disable", reason="no OpenGL library is installed")
+def test_a_policy_is_filmed(tmp_path, capsys):
+    Film("s_push", settings=("duration=0.2", "physics_dt=0.002"), output=tmp_path / "s.mp4", episodes=1).run()
+    assert (tmp_path / "s.mp4").stat().st_size > 1_000
+    assert str(tmp_path / "s.mp4") in capsys.readouterr().out
+
+
+def test_an_evaluation_writes_its_report(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("ppt_rl.envs.rendering.rendering_backend", lambda: "disable")
+    Evaluate("s_push", settings=("duration=0.2", "physics_dt=0.002"), episodes=2, report=tmp_path).run()
+    assert {"evaluation.md", "episode.png"} <= {path.name for path in tmp_path.iterdir()}
+    assert "success [0-1]" in capsys.readouterr().out
+
+
+def test_options_are_set_in_the_type_of_their_field():
+    config = with_settings(
+        Config(), _pairs(("p_max=0.5", "box_sizes=0.06,0.08", "resume=true", "ppo.epochs=3", "run_dir=a/b"))
+    )
+    assert (config.p_max, config.box_sizes, config.resume, config.ppo.epochs) == (0.5, (0.06, 0.08), True, 3)
+    assert config.run_dir == Path("a/b")
+
+
+def test_a_policy_is_loaded_with_its_changed_options():
+    assert Judged("ppt_push", settings=("p_max=0.5",), num_threads=1).load().config.p_max == 0.5
+
+
+def test_every_command_has_a_way_to_run():
+    for options in (Evaluate, Film, Study, CalibrateTank, Sweep, Policies):
+        assert callable(options.run)
