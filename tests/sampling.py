@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from ppt_rl.arms import PANDA
+from ppt_rl.arms import PANDA, Arm
 from ppt_rl.functional.promp import Gaussian
 
 
@@ -19,11 +19,11 @@ def random_poses(*shape: int, seed: int = 0) -> Tensor:
     return torch.cat([position, random_quats(*shape, seed=seed)], -1)
 
 
-def random_joint_positions(*shape: int, seed: int = 0) -> Tensor:
+def random_joint_positions(*shape: int, arm: Arm = PANDA, seed: int = 0) -> Tensor:
     """Joint positions, uniform between the limits, float64."""
-    low, high = torch.tensor(PANDA.joints.position_limits, dtype=torch.float64).unbind(-1)
+    low, high = torch.tensor(arm.joints.position_limits, dtype=torch.float64).unbind(-1)
     return low + (high - low) * torch.rand(
-        *shape, 7, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+        *shape, arm.num_joints, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ppt_rl.cli import CalibrateTank, Evaluate, Film, Judged, Policies, Study, Sweep, _pairs
+from ppt_rl.commands import CalibrateTank, Evaluate, Film, Judged, Policies, Study, Sweep, _pairs
 from ppt_rl.envs.mujoco_imports import rendering_backend
 from ppt_rl.evaluation import COLUMNS, shipped_recipes
 from ppt_rl.recipes.ppo_ppt_push import Config

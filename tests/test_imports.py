@@ -71,9 +71,41 @@ def test_envs_and_transforms_do_not_import_each_other():
 
 
 def test_the_library_does_not_import_what_uses_it():
-    outside = {"recipes", "benchmarks", "tests"} | {path.stem for path in (ROOT / "recipes").glob("*.py")}
+    outside = {"recipes", "benchmarks", "examples", "tests"} | {path.stem for path in (ROOT / "recipes").glob("*.py")}
     for path in FILES:
         assert not {name.split(".")[0] for name in imports(path)} & outside, path
+        assert not [name for name in imports(path) if name.startswith(("ppt_rl.recipes", "ppt_rl.pretrained"))], path
+
+
+def test_only_the_command_line_and_the_package_itself_stand_above_the_tasks():
+    top = {path.name: imported_packages(path) for path in FILES if not package(path)}
+    assert set(top) == {"__init__.py", "__main__.py", "cli.py", "commands.py"}
+    assert set().union(*top.values()) <= {"training", "evaluation"}
+    for name in ("training", "evaluation"):
+        files = [path for path in FILES if package(path) == name]
+        assert not [path for path in files if {"tasks"} & imported_packages(path)]
+
+
+def test_training_knows_no_task_and_no_environment_of_ours():
+    words = {"push", "maze", "box", "corridor"}
+    for path in (path for path in FILES if package(path) == "training"):
+        names = {node.id for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Name)}
+        assert not {name for name in names for word in words if word in name.lower()}, path
+
+
+@pytest.mark.parametrize("task", ["push", "maze"])
+def test_a_task_does_not_import_another(task):
+    others = {"push", "maze"} - {task}
+    for path in FILES:
+        if task in path.relative_to(ROOT / "ppt_rl").parts[:-1]:
+            assert not [n for n in imports(path) for o in others if f".{o}." in f".{n}."], path
+
+
+def test_recipes_import_the_library_and_nothing_beside_them():
+    for path in (ROOT / "recipes").glob("ppo_*.py"):
+        own = {name for name in imports(path) if name.startswith("ppt_rl")}
+        assert own, path
+        assert not [name for name in own if name.startswith(("ppt_rl.recipes", "ppt_rl.cli", "ppt_rl.commands"))], path
 
 
 def test_no_package_imports_itself_by_way_of_another():

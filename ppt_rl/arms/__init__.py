@@ -23,12 +23,18 @@ __all__ = [
     "Limits",
     "Offset",
     "Shell",
+    "arm_names",
     "find_arm",
 ]
 
 
+def arm_names() -> list[str]:
+    """The names of all arms in the files of this package, sorted."""
+    return sorted(_arms())
+
+
 def find_arm(name: str) -> Arm:
-    """Find an arm by its name, in every file of this package.
+    """Find an arm by its name, in any file of this package.
 
     Args:
         name: as in :attr:`Arm.name`, for instance ``"ur5e"``.
@@ -39,8 +45,12 @@ def find_arm(name: str) -> Arm:
     Raises:
         ValueError: if no arm has that name.
     """
-    modules = [importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)]
-    arms = {value.name: value for module in modules for value in vars(module).values() if isinstance(value, Arm)}
+    arms = _arms()
     if name not in arms:
         raise ValueError(f"arm {name!r} is unknown; expected one of {sorted(arms)}.")
     return arms[name]
+
+
+def _arms() -> dict[str, Arm]:
+    modules = [importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)]
+    return {value.name: value for module in modules for value in vars(module).values() if isinstance(value, Arm)}

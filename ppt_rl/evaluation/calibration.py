@@ -28,7 +28,7 @@ class Calibration:
     """Power and work of a policy without limits, and the limits proposed from them.
 
     Attributes:
-        policy: who acted.
+        policy: the policy.
         rows: a value an episode for every metric.
         quantile: share of the successful episodes that the limits would leave untouched [0-1].
         margin: factor on that quantile [-].
@@ -82,7 +82,7 @@ class Calibration:
         """Write ``calibration.json`` and ``calibration.png``.
 
         Args:
-            directory: where to.
+            directory: target directory.
         """
         write_text_atomically(directory / "calibration.json", json.dumps(self.as_json(), indent=2) + "\n")
         plot_calibration(self.rows, directory / "calibration.png", **self.proposal())
@@ -94,7 +94,7 @@ def calibrate(
     """Run a policy without the limits of a tank and propose limits.
 
     Args:
-        policy: who acts; a tank in its chain is opened wide.
+        policy: the policy; a tank in its chain is opened wide.
         episodes: number of fresh episodes.
         seed: seed of the episodes.
         num_envs: number of environments that step together.

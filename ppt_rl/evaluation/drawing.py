@@ -23,8 +23,8 @@ def draw_policy(policy: Policy, directory: Path, *, episodes: int, seed: int) ->
     Without an OpenGL library the video alone is left out, with a message.
 
     Args:
-        policy: who acts.
-        directory: where to.
+        policy: the policy.
+        directory: target directory.
         episodes: number of episodes in the video.
         seed: seed of the episodes.
     """
@@ -53,7 +53,7 @@ def film(
     """Write a video of a policy from two cameras.
 
     Args:
-        policy: who acts.
+        policy: the policy.
         path: path of the video (.mp4).
         episodes: number of episodes, one after the other.
         seed: seed of the episodes.

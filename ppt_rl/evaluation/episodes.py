@@ -19,7 +19,7 @@ from ppt_rl.transforms.macro_step import MacroStepTransform
 
 __all__ = ["Rows", "ZeroPolicy", "record_episodes", "run_episodes"]
 
-#: A value an episode, by metric.
+#: One value per episode, by metric.
 Rows = dict[str, NDArray[Any]]
 
 
@@ -90,7 +90,7 @@ class ZeroPolicy:
     """The reference alone: a policy whose action is zero.
 
     Args:
-        actor: whose action's shape it takes.
+        actor: policy whose action's shape is used.
     """
 
     def __init__(self, actor: Any) -> None:
@@ -104,7 +104,7 @@ class ZeroPolicy:
 
 @torch.no_grad()
 def record_episodes(env: EnvBase, policy: Any, keys: Sequence[NestedKey]) -> TensorDictBase:
-    """One episode of every environment with what was observed after each of its control steps.
+    """Record one episode of every environment: what was observed after each of its control steps.
 
     Args:
         env: with or without a :class:`~ppt_rl.transforms.MacroStepTransform`; its trace is set to ``keys``.
@@ -143,7 +143,7 @@ def record_episodes(env: EnvBase, policy: Any, keys: Sequence[NestedKey]) -> Ten
 
 
 def _joined(chunks: Sequence[TensorDictBase], key: NestedKey) -> torch.Tensor:
-    """Traces of chunks one after the other, ``(B, T, ...)``; what a row did not execute of a chunk is left out."""
+    """Concatenated traces of chunks, ``(B, T, ...)``; steps that an environment did not execute are left out."""
     parts = [chunk["trace", key] for chunk in chunks]
     executed = [chunk["control_steps"].squeeze(-1) for chunk in chunks]
     full = torch.cat(parts, 1)

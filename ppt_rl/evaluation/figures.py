@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 
 from ppt_rl.training.logs import read_scalar
 
-__all__ = ["moving_average", "plot_calibration", "plot_training", "save_figure"]
+__all__ = ["CURVES", "moving_average", "plot_calibration", "plot_training", "save_figure"]
 
 _BLUE, _ORANGE, _GREEN, _GREY = "#1f5fa8", "#d9701a", "#2a9d4a", "#8a8f98"
 Array = NDArray[np.float64]
+#: Panels of training curves: scalar, factor to the unit of the axis, label of the axis.
+CURVES = (("success", 100.0, "success [%]"), ("max_power", 1.0, "max power of an episode [W]"))
 
 
 def moving_average(values: Array, window: int) -> Array:
-    """Mean over the last ``window`` values; at the start, over those there are.
+    """Mean over the last ``window`` values, or over all values so far at the start.
 
     Args:
         values: ``(T,)``.
@@ -43,16 +45,13 @@ def plot_training(run_dir: Path, path: Path, *, p_max: float | None = None, wind
 
     Args:
         run_dir: directory of the run.
-        path: where the picture goes; its suffix names the format.
+        path: path of the picture; its suffix sets the format.
         p_max: power limit to draw [W].
-        window: of the moving average [batches].
+        window: length of the moving average [batches].
     """
     figure = Figure(figsize=(10, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for axes, name, factor, label in (
-        (left, "success", 100.0, "success [%]"),
-        (right, "max_power", 1.0, "max power per episode [W]"),
-    ):
+    for axes, (name, factor, label) in zip((left, right), CURVES, strict=True):
         steps, values = read_scalar(run_dir, name)
         axes.plot(steps / 1e6, factor * values, color=_BLUE, alpha=0.25, lw=1, label="batch")
         axes.plot(steps / 1e6, factor * moving_average(values, window), color=_BLUE, lw=2, label=f"mean of {window}")
@@ -71,11 +70,11 @@ def plot_training(run_dir: Path, path: Path, *, p_max: float | None = None, wind
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure so that it is there whole or not at all.
+    """Write a figure atomically: the file appears complete or not at all.
 
     Args:
-        figure: what to write.
-        path: its suffix names the format.
+        figure: the figure.
+        path: path of the picture; its suffix sets the format.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".draft-{path.name}")
@@ -89,7 +88,7 @@ def plot_calibration(rows: Mapping[str, Array], path: Path, *, p_max: float, e_m
     Args:
         rows: arrays over episodes: ``max_power`` [W], ``work`` [J], ``success``, and where audited
             ``audit_commanded_power`` and ``audit_commanded_work``.
-        path: where the picture goes.
+        path: path of the picture.
         p_max: proposed power limit [W].
         e_max: proposed capacity [J].
     """

@@ -27,7 +27,7 @@ class Evaluation:
     """Rows of a policy and of its baselines in the same episodes.
 
     Attributes:
-        policy: who was judged.
+        policy: the policy that was judged.
         rows: by actor (the variant first) and group: a value an episode for every metric.
     """
 
@@ -47,8 +47,8 @@ class Evaluation:
         """Means and intervals of an actor.
 
         Args:
-            actor: who.
-            group: in which episodes.
+            actor: the policy's variant or a baseline.
+            group: label of the group of episodes.
 
         Returns:
             ``{metric: {"mean": x, "ci95": [low, high]}}``.
@@ -75,7 +75,7 @@ class Evaluation:
         """Write tables, summaries and every episode.
 
         Args:
-            directory: where to.
+            directory: target directory.
         """
         columns = self.policy.recipe.task.report.columns
         summaries = {label: summarise(rows, columns) for label, rows in self._all()}
@@ -103,7 +103,7 @@ def evaluate(
     """Run a policy, and its baselines, deterministically and without privileged observations.
 
     Args:
-        policy: who is judged.
+        policy: the policy.
         episodes: fresh episodes for each actor and group.
         seed: seed of the episodes; training uses small seeds.
         num_envs: number of environments that step together.

@@ -75,9 +75,9 @@ def save_pretrained(directory: Path, modules: Mapping[str, nn.Module], card: Map
     """Write weights and card.
 
     Args:
-        directory: where to.
-        modules: what to save, by name: the actor, and what its chain needs.
-        card: JSON-compatible; at least ``variant`` and ``config``. The digest of the weights is added.
+        directory: target directory.
+        modules: modules to save, by name: the actor, and those that its chain needs.
+        card: JSON data with at least ``variant`` and ``config``. The digest of the weights is added.
     """
     tensors = {f"{name}.{key}": value.contiguous() for name, module in modules.items() for key, value in _state(module)}
     data = save_tensors(tensors)
@@ -94,7 +94,7 @@ def pretrained_card(directory: Path) -> dict[str, Any]:
     """The card of a published policy.
 
     Args:
-        directory: what :func:`save_pretrained` wrote.
+        directory: a directory that :func:`save_pretrained` wrote.
 
     Returns:
         Its content.
@@ -115,7 +115,7 @@ def load_pretrained(directory: Path, modules: Mapping[str, nn.Module]) -> None:
     """Load a published policy into modules, after its weights were compared with the card.
 
     Args:
-        directory: what :func:`save_pretrained` wrote.
+        directory: a directory that :func:`save_pretrained` wrote.
         modules: to fill, by name.
 
     Raises:

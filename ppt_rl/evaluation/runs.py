@@ -103,7 +103,7 @@ def keep_run(run: KeptRun, policy: Policy, *, episodes: int, seed: int, num_envs
     """Judge a trained policy in each group of episodes and keep the results; with seed 0 the baselines as well.
 
     Args:
-        run: which run.
+        run: the run.
         policy: its policy.
         episodes: number of episodes in each group.
         seed: seed of the episodes.

@@ -23,7 +23,7 @@ def interval(values: Array, *, is_rate: bool) -> tuple[float, float]:
 
     Args:
         values: one per episode.
-        is_rate: whether they are zeros and ones.
+        is_rate: whether the values are zeros and ones.
 
     Returns:
         Lower and upper end.
@@ -43,7 +43,7 @@ def summarise(rows: Mapping[str, Array], columns: Mapping[str, Column] = COLUMNS
 
     Args:
         rows: what :func:`run_episodes` returned.
-        columns: which metrics.
+        columns: metrics to summarise.
 
     Returns:
         ``{name: {"mean": x, "ci95": [low, high]}}``; ratios stay within [0, 1].
@@ -62,7 +62,7 @@ def distribution(rows: Mapping[str, Array], names: Iterable[str] = POWER_AND_WOR
 
     Args:
         rows: what :func:`run_episodes` returned for an audited environment.
-        names: which quantities.
+        names: quantities to describe.
 
     Returns:
         ``{name: {"mean": x, "p95": x, "max": x}}``.
@@ -75,10 +75,10 @@ def distribution(rows: Mapping[str, Array], names: Iterable[str] = POWER_AND_WOR
 
 
 def interquartile_mean(values: Sequence[float] | Array) -> float:
-    """Mean of what is left when a quarter is cut off at either end.
+    """Interquartile mean: the mean after removing the lowest and the highest quarter.
 
     Args:
-        values: at least one; with fewer than four nothing is cut off.
+        values: at least one; with fewer than four, none is removed.
 
     Returns:
         The mean.
@@ -111,9 +111,9 @@ class Claim:
 
     Attributes:
         metric: its name.
-        better: the variant that is said to be better.
+        better: the variant claimed to be better.
         worse: the other one.
-        higher_is_better: which way the metric points.
+        higher_is_better: whether a higher value of the metric is better.
         spread: whether the claim is about the spread over seeds instead of the mean.
     """
 

@@ -74,7 +74,7 @@ class Study:
         """Options of a run: the recipe's defaults but for what the study sets.
 
         Args:
-            run: which run.
+            run: the run.
 
         Returns:
             The options.
@@ -112,7 +112,7 @@ def run_study(study: Study, *, report_only: bool = False) -> None:
     """Train and judge the runs that are not finished, then write the report; run it again to continue.
 
     Args:
-        study: what to do.
+        study: the study.
         report_only: train nothing; tables and figures of the runs that are finished.
 
     Raises:
@@ -139,7 +139,7 @@ def publish(run: KeptRun, policy: Policy, directory: Path) -> None:
     Args:
         run: a finished run.
         policy: its policy.
-        directory: where to.
+        directory: target directory.
     """
     record, settings = run.evaluation(), json.loads((run.run_dir / "config.json").read_text())
     config = {key: value for key, value in settings["config"].items() if key not in ("variant", "recipe")}

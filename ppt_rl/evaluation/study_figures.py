@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ppt_rl.evaluation.figures import moving_average, save_figure
+from ppt_rl.evaluation.figures import CURVES, moving_average, save_figure
 from ppt_rl.functional.promp import Gaussian
 from ppt_rl.modules.promp import ProMP
 
 __all__ = ["VARIANT_COLORS", "plot_boxes", "plot_curves", "plot_filmstrip", "plot_promp", "plot_sweep", "plot_tanks"]
 
 Array = NDArray[np.float64]
-#: One colour for each variant, told apart by the colour-blind too.
+#: One colour per variant; the palette suits colour-blind readers.
 VARIANT_COLORS = {"PP": "#e69f00", "PPT": "#0072b2", "S": "#cc79a7", "ST": "#009e73"}
 _GREY = "#8a8f98"
 
@@ -34,16 +34,13 @@ def plot_curves(
 
     Args:
         curves: by variant, for each seed the control steps ``(T,)`` and the scalars ``success`` and ``max_power``.
-        path: where the picture goes.
+        path: path of the picture.
         p_max: power limit to draw [W].
-        window: of the moving average [batches].
+        window: length of the moving average [batches].
     """
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for axes, name, factor, label in (
-        (left, "success", 100.0, "success [%]"),
-        (right, "max_power", 1.0, "max power of an episode [W]"),
-    ):
+    for axes, (name, factor, label) in zip((left, right), CURVES, strict=True):
         for variant, seeds in curves.items():
             length = min(len(steps) for steps, _ in seeds)
             steps = seeds[0][0][:length] / 1e6
@@ -67,12 +64,12 @@ def plot_curves(
 
 
 def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, str], path: Path) -> None:
-    """Box plots over episodes, one panel a metric: the box spans the quartiles, the whiskers 5 % to 95 %.
+    """Box plots over episodes, one panel per metric: the box spans the quartiles, the whiskers 5 % to 95 %.
 
     Args:
         rows: by variant, arrays over episodes by metric.
-        metrics: which metrics, with their axis labels.
-        path: where the picture goes.
+        metrics: labels of the axes by metric.
+        path: path of the picture.
     """
     figure = Figure(figsize=(3.1 * len(metrics), 3.8), layout="constrained")
     for axes, (name, label) in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics.items(), strict=True):
@@ -100,14 +97,14 @@ def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, st
 def plot_promp(
     promp: ProMP, via: Mapping[str, Tensor] | None, path: Path, *, labels: Sequence[str], samples: int = 101
 ) -> None:
-    """A movement primitive's prior, and its posterior under via-points: one panel a coordinate, +-2 sigma bands.
+    """A movement primitive's prior, and its posterior under via-points: one panel per coordinate, +-2 sigma bands.
 
     Args:
         promp: the primitive.
         via: ``via_phase`` (M,), ``via_position`` (M, D), ``via_cov`` (M, D, D) of one episode; None draws the prior.
-        path: where the picture goes.
-        labels: of the coordinates, with units.
-        samples: along the phase.
+        path: path of the picture.
+        labels: labels of the coordinates, with units.
+        samples: number of samples along the phase.
     """
     phase = torch.linspace(0.0, 1.0, samples, dtype=torch.float64)
     curves = [(promp.prior, _GREY, "prior")]
@@ -147,7 +144,7 @@ def plot_tanks(
 
     Args:
         episodes: by title, arrays over control steps: ``power``, ``tank_energy``, ``valve``, each ``(T, 1)``.
-        path: where the picture goes.
+        path: path of the picture.
         p_max: power limit [W].
         e_max: tank capacity [J].
         dt: control step [s].
@@ -182,9 +179,9 @@ def plot_filmstrip(
 
     Args:
         strips: by row label, pictures of one size.
-        times: of the pictures [s].
-        path: where the picture goes.
-        title: above all.
+        times: time of each picture [s].
+        path: path of the picture.
+        title: title of the figure.
     """
     height, width = next(iter(strips.values()))[0].shape[:2]
     size = 2.4
@@ -208,11 +205,11 @@ def plot_sweep(
     *,
     usual: Mapping[str, tuple[float, float]],
 ) -> None:
-    """Success against the difficulty of the episodes, one panel a quantity.
+    """Success against the difficulty of the episodes, one panel per quantity.
 
     Args:
         curves: by quantity (with unit) and by actor: values, success rates [0-1] and their 95 % intervals.
-        path: where the picture goes.
+        path: path of the picture.
         usual: by quantity, the range of the test, which is shaded.
     """
     figure = Figure(figsize=(3.6 * len(curves), 3.6), layout="constrained")

@@ -52,7 +52,7 @@ def write_report(runs: Sequence[KeptRun], directory: Path) -> None:
 
     Args:
         runs: finished runs of one task.
-        directory: where to.
+        directory: target directory.
     """
     groups, task = by_label(runs), runs[0].recipe.task
     tables = _tables(groups)

@@ -3,53 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from torchrl.envs import EnvBase
 
 from ppt_rl.evaluation.episodes import run_episodes
+from ppt_rl.evaluation.policy import Policy
 from ppt_rl.evaluation.statistics import interval
 from ppt_rl.evaluation.study_figures import plot_sweep
 from ppt_rl.training.logs import write_text_atomically
 
-if TYPE_CHECKING:
-    from torchrl.envs import EnvBase
-
-    from ppt_rl.evaluation.policy import Policy
-
-__all__ = ["Sweep", "SweepPoint", "run_sweep"]
+__all__ = ["run_sweep"]
 
 #: Environments that step together.
 _TOGETHER = 96
-
-
-@dataclass(frozen=True)
-class SweepPoint:
-    """Episodes of one difficulty.
-
-    Attributes:
-        quantity: what is varied, with its unit.
-        value: its value.
-        given: the episodes, in the task's own form.
-    """
-
-    quantity: str
-    value: float
-    given: Sequence[Any]
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """The difficulty of a task's episodes.
-
-    Attributes:
-        points: makes the points from the number of episodes at each and a seed.
-        usual: by quantity, its range in the test.
-    """
-
-    points: Callable[[int, int], list[SweepPoint]]
-    usual: Mapping[str, tuple[float, float]]
 
 
 def run_sweep(
@@ -58,7 +27,7 @@ def run_sweep(
     """Sweep policies of one task; write ``difficulty.json`` and ``difficulty.png``.
 
     Args:
-        policies: who is judged.
+        policies: the policies.
         episodes: number of episodes at each point.
         seed: seed of the episodes.
         baselines: names of baselines to sweep too, with the options of the first policy.

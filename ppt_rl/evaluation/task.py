@@ -5,20 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
+from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.columns import COLUMNS, Column
+from ppt_rl.evaluation.difficulty import Sweep
 from ppt_rl.evaluation.statistics import Claim
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-
-    from ppt_rl.evaluation.policy import Policy
-    from ppt_rl.evaluation.runs import KeptRun
-    from ppt_rl.evaluation.sweep import Sweep
 
 __all__ = ["Baseline", "MakeEnv", "Pictures", "Report", "SecondPass", "Task"]
 
@@ -44,8 +39,9 @@ class MakeEnv(Protocol):
         ...
 
 
-#: Makes what a baseline acts on and who acts, from a policy (for its options) and a bare test environment.
-Baseline = Callable[["Policy", ArmEnv], tuple[EnvBase, Any]]
+#: From a policy (for its options) and a bare test environment: the environment that a baseline acts on, and the
+#: baseline itself.
+Baseline = Callable[[Any, ArmEnv], tuple[EnvBase, Any]]
 
 
 @dataclass(frozen=True)
@@ -108,8 +104,8 @@ class Pictures:
     trace: tuple[str, ...] = ("pose", "twist", "wrench", "power")
     every: int = 4
     speed: float = 1.0
-    draw_episode: Callable[[Policy, Any, TensorDictBase, Path], None] | None = None
-    draw_study: Callable[[Mapping[str, Sequence[KeptRun]], Path], None] | None = None
+    draw_episode: Callable[[Any, Any, TensorDictBase, Path], None] | None = None
+    draw_study: Callable[[Mapping[str, Sequence[Any]], Path], None] | None = None
     rollouts: int = 4
     given: Callable[[], Sequence[Any]] = tuple
 

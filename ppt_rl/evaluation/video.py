@@ -86,9 +86,9 @@ def write_video(path: Path, frames: Iterable[Image], fps: float) -> None:
     """Write an H.264 video atomically.
 
     Args:
-        path: ends in ``.mp4``.
+        path: path of the video, ending in ``.mp4``.
         frames: RGB images of one size.
-        fps: frames a second.
+        fps: frames per second.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".draft-{path.name}")

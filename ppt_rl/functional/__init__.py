@@ -1,6 +1,8 @@
 """The library's control laws and metrics as pure functions of tensors."""
 
-from ppt_rl.functional.energy_tank import EnergyTankStep, energy_tank
+from ppt_rl.functional.contact import WallTouch
+from ppt_rl.functional.contact_via_point import ViaPointConfig
+from ppt_rl.functional.energy_tank import TANK_LAWS, EnergyTankStep, TankLaw, energy_tank
 from ppt_rl.functional.impedance import (
     cartesian_impedance,
     critical_damping,
@@ -12,8 +14,12 @@ from ppt_rl.functional.impedance import (
 from ppt_rl.functional.metrics import MetricsConfig, begin_metrics, summarise_metrics, update_metrics
 
 __all__ = [
+    "TANK_LAWS",
     "EnergyTankStep",
     "MetricsConfig",
+    "TankLaw",
+    "ViaPointConfig",
+    "WallTouch",
     "begin_metrics",
     "cartesian_impedance",
     "critical_damping",

@@ -3,12 +3,39 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-__all__ = ["WallContact", "is_touching", "wall_contact"]
+from ppt_rl.functional.checks import require_positive
+
+__all__ = ["WallContact", "WallTouch", "is_touching", "wall_contact"]
+
+
+@dataclass(frozen=True)
+class WallTouch:
+    """How a tool tells a wall from the force at the wrist.
+
+    Attributes:
+        friction: mu, an estimate of the friction of walls and floor on the tool [-].
+        slow: v_s, the speed below which the force is trusted more than the motion [m/s].
+        on: contact begins above this force on the wall [N].
+        off: contact ends below this force on the wall [N], at most ``on``.
+    """
+
+    friction: float = 0.25
+    slow: float = 0.01
+    on: float = 1.0
+    off: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse impossible numbers."""
+        require_positive("friction", self.friction)
+        require_positive("slow", self.slow, "m/s")
+        if not self.on >= self.off > 0:
+            raise ValueError(f"on and off are {self.on} and {self.off} N; expected on >= off > 0.")
 
 
 class WallContact(NamedTuple):

@@ -21,7 +21,7 @@ def rotation(run_dir: Path, keep_last: int = 2) -> CheckpointRotation:
 
     Args:
         run_dir: directory of the run.
-        keep_last: how many of the newest are kept.
+        keep_last: number of newest checkpoints to keep.
 
     Returns:
         torchrl's rotation over ``run_dir/checkpoints``.
@@ -74,7 +74,7 @@ def checkpoint_info(path: Path, variant: str | None = None) -> dict[str, Any]:
 
     Args:
         path: the checkpoint.
-        variant: what it must be; None takes any.
+        variant: required variant; None accepts any.
 
     Returns:
         The metadata: ``variant``, ``config``, ``success``, and ``recipe`` where it is a user's file.
@@ -88,10 +88,10 @@ def checkpoint_info(path: Path, variant: str | None = None) -> dict[str, Any]:
             with zipfile.ZipFile(path) as archive:
                 broken = archive.testzip()
             if broken is not None:
-                raise CheckpointMismatch(f"{path} is damaged in {broken}; take another checkpoint of the run.")
+                raise CheckpointMismatch(f"{path} is damaged in {broken}; use another checkpoint of the run.")
     except (OSError, ValueError, KeyError, CheckpointError, zipfile.BadZipFile) as error:
         raise CheckpointMismatch(
-            f"{path} cannot be read as a checkpoint ({error}); it may be truncated. Take another one of the run."
+            f"{path} cannot be read as a checkpoint ({error}); it may be truncated. Use another checkpoint of the run."
         ) from error
     metadata = manifest.get("metadata", {})
     if "variant" not in metadata or "config" not in metadata:

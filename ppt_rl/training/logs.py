@@ -1,4 +1,4 @@
-"""Where a run writes: configuration, CSV and TensorBoard logs."""
+"""The files of a run: configuration, CSV and TensorBoard logs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class RunLogs:
 
     Args:
         run_dir: directory of the run.
-        last_step: control step to go on from; what was logged after it, by a run that was killed, is dropped.
+        last_step: control step to continue from; entries that a killed run logged after it are dropped.
     """
 
     def __init__(self, run_dir: Path, last_step: int = 0) -> None:
@@ -42,7 +42,7 @@ class RunLogs:
         """Log scalars.
 
         Args:
-            scalars: by name.
+            scalars: values by name.
             step: control steps so far.
         """
         for logger in self._loggers:
@@ -59,7 +59,7 @@ def read_scalar(run_dir: Path, name: str) -> tuple[NDArray[np.float64], NDArray[
 
     Args:
         run_dir: directory of the run.
-        name: of the scalar.
+        name: name of the scalar.
 
     Returns:
         Steps and values.
@@ -77,7 +77,7 @@ def save_config(run_dir: Path, config: Mapping[str, Any]) -> None:
 
     Args:
         run_dir: directory of the run.
-        config: JSON-compatible.
+        config: JSON data.
     """
     record = {
         "config": dict(config),
@@ -88,7 +88,7 @@ def save_config(run_dir: Path, config: Mapping[str, Any]) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that decide a result.
+    """Versions of Python and of the packages that a result depends on.
 
     Returns:
         By name.
@@ -97,21 +97,21 @@ def versions() -> dict[str, str]:
 
 
 def write_text_atomically(path: Path, text: str) -> None:
-    """Write a file so that it is there whole or not at all.
+    """Write a file atomically: it appears complete or not at all.
 
     Args:
-        path: of the file; its directory is made.
-        text: what to write.
+        path: path of the file; its directory is created.
+        text: content.
     """
     write_bytes_atomically(path, text.encode())
 
 
 def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that it is there whole or not at all.
+    """Write a file atomically: it appears complete or not at all.
 
     Args:
-        path: of the file; its directory is made.
-        data: what to write.
+        path: path of the file; its directory is created.
+        data: content.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")

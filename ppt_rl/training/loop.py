@@ -69,14 +69,7 @@ def train_ppo(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: T
     if run.resume_from is not None:
         progress.restore(env)
     logs = RunLogs(run.run_dir, last_step=progress.control_steps)
-    collector = Collector(
-        env,
-        actor,
-        frames_per_batch=env.numel() * run.policy_steps,
-        total_frames=-1,
-        trust_policy=True,
-        auto_register_policy_transforms=False,
-    )
+    collector = _collector(env, actor, run.policy_steps)
     budget = run.ppo.total_control_steps
     bar = tqdm(total=budget, initial=progress.control_steps, unit=" steps", unit_scale=True)
     batches = iter(collector)
@@ -103,6 +96,18 @@ def train_ppo(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: T
     if interrupt.requested:
         raise KeyboardInterrupt
     return path
+
+
+def _collector(env: EnvBase, actor: ProbabilisticActor, policy_steps: int) -> Collector:
+    """Collects batches of so many policy steps of every environment."""
+    return Collector(
+        env,
+        actor,
+        frames_per_batch=env.numel() * policy_steps,
+        total_frames=-1,
+        trust_policy=True,
+        auto_register_policy_transforms=False,
+    )
 
 
 class _Progress:

@@ -16,7 +16,7 @@ from torchrl.objectives.value import GAE
 
 __all__ = ["Learner", "PPOConfig"]
 
-#: Policy steps in a batch from which on an update is worth every CPU.
+#: Number of policy steps in a batch from which an update uses every CPU.
 _LARGE = 4096
 
 
@@ -26,17 +26,17 @@ class PPOConfig:
 
     Attributes:
         total_control_steps: budget, summed over environments [control steps].
-        epochs: passes over a batch.
-        minibatches: parts of a batch in a pass.
-        learning_rate: at the start; the KL divergence adapts it.
+        epochs: number of passes over a batch.
+        minibatches: number of minibatches in a pass.
+        learning_rate: learning rate at the start; the KL divergence adapts it.
         max_learning_rate: upper bound of the adapted rate.
-        target_kl: divergence per update that the rate aims at [nat].
+        target_kl: divergence per update that the adapted rate aims at [nat].
         clip: epsilon of the clipped objective.
         entropy: weight of the entropy bonus.
         gamma: discount per control step.
-        gae_lambda: of the generalised advantage estimate.
+        gae_lambda: lambda of the generalised advantage estimate.
         max_grad_norm: bound on the gradient's norm.
-        checkpoint_every: batches between checkpoints.
+        checkpoint_every: number of batches between checkpoints.
     """
 
     total_control_steps: int = 921_600
@@ -94,7 +94,7 @@ class Learner:
         self.schedule = KLAdaptiveLR(self.optimizer, config.target_kl, max_lr=config.max_learning_rate)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Improve actor and critic on one batch: fewer passes than allowed where the policy has moved far enough.
+        """Improve actor and critic on one batch; stop early once the policy has moved far enough.
 
         Args:
             batch: what the collector returned.
@@ -129,7 +129,7 @@ class Learner:
 
     @torch.no_grad()
     def _with_advantage(self, batch: TensorDictBase) -> TensorDictBase:
-        """A flat batch of what the loss reads: a step-wise batch is large, so the rest is left behind."""
+        """A flat batch of the entries that the loss reads; a step-wise batch is large, so the rest is dropped."""
         batch = self.advantage(batch)
         keys = {"loc", "scale", "advantage", "value_target", *self.loss.in_keys}
         return batch.select(*keys, strict=False).reshape(-1)

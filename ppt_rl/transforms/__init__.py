@@ -14,7 +14,7 @@ from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from ppt_rl.transforms.macro_step import MacroStepTransform
 from ppt_rl.transforms.power_limit import PowerLimitTransform
 from ppt_rl.transforms.promp import ProMPTransform
-from ppt_rl.transforms.receding_promp import RecedingProMPTransform
+from ppt_rl.transforms.receding_promp import RecedingKeys, RecedingProMPTransform
 from ppt_rl.transforms.via_point import ViaPointTransform
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "MacroStepTransform",
     "PowerLimitTransform",
     "ProMPTransform",
+    "RecedingKeys",
     "RecedingProMPTransform",
     "ViaPointTransform",
 ]

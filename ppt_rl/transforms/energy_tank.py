@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from ppt_rl.functional.checks import require_positive
-from ppt_rl.functional.energy_tank import energy_tank
+from ppt_rl.functional.energy_tank import TANK_LAWS
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.timed import TimedTransform
 
@@ -40,8 +40,7 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         flow_key: the velocity it works on, an observation; None takes ``twist`` or ``joint_velocity``, whichever has
             the action's size.
         eps: smallest power that is divided by [W].
-        energy_key: where the level is written.
-        valve_key: where the factor is written.
+        out_keys: where the level and the valve are written.
 
     Raises:
         ValueError: if a number is out of range, the mode is unknown, or an input is not finite.
@@ -67,20 +66,24 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         effort_key: NestedKey = "action",
         flow_key: NestedKey | None = None,
         eps: float = 1e-6,
-        energy_key: NestedKey = "tank_energy",
-        valve_key: NestedKey = "valve",
+        out_keys: tuple[NestedKey, NestedKey] = ("tank_energy", "valve"),
     ) -> None:
         super().__init__(effort_key)
-        if mode != "paper":
-            raise ValueError(f"mode is {mode!r}; expected 'paper', the only law there is.")
+        if len(out_keys) != 2:
+            raise ValueError(f"out_keys are {out_keys}; expected two: where the level and the valve are written.")
+        if mode not in TANK_LAWS:
+            raise ValueError(
+                f"mode is {mode!r}; expected one of {list(TANK_LAWS)}. A law of your own is registered in "
+                "ppt_rl.functional.energy_tank.TANK_LAWS."
+            )
         self.p_max = require_positive("p_max", p_max, "W")
         self.e_max = require_positive("e_max", e_max, "J")
         self.dt = dt
         self.eps = require_positive("eps", eps, "W")
-        self.mode = mode
+        self.mode, self.law = mode, TANK_LAWS[mode]
         self.flow_key = flow_key
-        self.energy_key = energy_key
-        self.valve_key = valve_key
+        self.out_keys = list(out_keys)
+        self.energy_key, self.valve_key = out_keys
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (effort,) = self._require(tensordict, self.action_key)
@@ -88,7 +91,7 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         energy = tensordict.get(self.energy_key, None)
         if energy is None:
             energy = torch.full_like(effort[..., :1], self.e_max)
-        step = energy_tank(effort, flow, energy, p_max=self.p_max, e_max=self.e_max, dt=self.dt, eps=self.eps)
+        step = self.law(effort, flow, energy, p_max=self.p_max, e_max=self.e_max, dt=self.dt, eps=self.eps)
         tensordict.set(self.action_key, step.valve * effort)
         self._stash(tensordict, self.energy_key, step.energy)
         self._stash(tensordict, self.valve_key, step.valve)

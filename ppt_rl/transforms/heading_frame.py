@@ -9,7 +9,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 
 from ppt_rl.functional.checks import require_positive
-from ppt_rl.functional.contact import wall_contact
+from ppt_rl.functional.contact import WallTouch, wall_contact
 from ppt_rl.functional.heading import follow_heading, to_heading
 from ppt_rl.transforms.base import Entries, ObserverTransform
 from ppt_rl.transforms.timed import TimedTransform
@@ -30,16 +30,14 @@ class HeadingFrameTransform(TimedTransform, ObserverTransform):
     Observations: ``heading_twist`` [m/s, rad/s] and ``heading_wrench`` [N, N m], ``(*B, 6)``, axes ahead, left, up.
 
     Args:
-        distance: over which the heading forgets [m].
-        patience: in which a tool that is held up turns along the wall [s].
-        slow: speed of a tool that is held up [m/s].
-        friction: estimate of walls and floor on the tool [-].
-        min_force: a wall presses with more than this [N].
-        smoothing: time constant of the wrench's low-pass [s].
+        distance: distance of travel over which the heading adapts [m].
+        patience: time in which a tool that is held up turns along the wall [s].
+        smoothing: time constant of the low-pass on the wrench [s].
+        touch: how a wall is felt: one that is pressed by more than ``touch.on``; None takes the defaults.
         dt: control step [s]; None takes it from the environment, and needs one.
         twist_key: measured twist.
         wrench_key: measured wrench on the world.
-        start_key: heading at the start, as the robot is told.
+        start_key: heading at the start of an episode, given to the robot.
 
     Raises:
         KeyError: if an observation is missing.
@@ -56,10 +54,8 @@ class HeadingFrameTransform(TimedTransform, ObserverTransform):
         *,
         distance: float = 0.02,
         patience: float = 0.3,
-        slow: float = 0.01,
-        friction: float = 0.25,
-        min_force: float = 1.0,
         smoothing: float = 0.05,
+        touch: WallTouch | None = None,
         dt: float | None = None,
         twist_key: NestedKey = "twist",
         wrench_key: NestedKey = "wrench",
@@ -68,10 +64,8 @@ class HeadingFrameTransform(TimedTransform, ObserverTransform):
         super().__init__(in_keys=[twist_key, wrench_key, start_key], out_keys=["heading_twist", "heading_wrench"])
         self.distance = require_positive("distance", distance, "m")
         self.patience = require_positive("patience", patience, "s")
-        self.slow = require_positive("slow", slow, "m/s")
-        self.friction = require_positive("friction", friction)
-        self.min_force = require_positive("min_force", min_force, "N")
         self.smoothing = require_positive("smoothing", smoothing, "s")
+        self.touch = WallTouch() if touch is None else touch
         self.dt = dt
 
     def _begin(self, *readings: Tensor) -> Entries:
@@ -80,14 +74,14 @@ class HeadingFrameTransform(TimedTransform, ObserverTransform):
 
     def _update(self, state: Entries, *readings: Tensor) -> Entries:
         twist, wrench, _ = readings
-        heading, smooth, dt = state["heading"], state["smooth_wrench"], self.dt
+        heading, smooth, touch, dt = state["heading"], state["smooth_wrench"], self.touch, self.dt
         smooth = smooth + (wrench - smooth) * (dt / (self.smoothing + dt))
         velocity = twist[..., :2]
-        wall = wall_contact(smooth[..., :3], velocity, heading, friction=self.friction, slow=self.slow)
-        touching = torch.linalg.vector_norm(wall.force, dim=-1, keepdim=True) > self.min_force
+        wall = wall_contact(smooth[..., :3], velocity, heading, friction=touch.friction, slow=touch.slow)
+        touching = torch.linalg.vector_norm(wall.force, dim=-1, keepdim=True) > touch.on
         heading = follow_heading(
             heading, velocity, wall.tangent, touching,
-            dt=dt, distance=self.distance, patience=self.patience, slow=self.slow,
+            dt=dt, distance=self.distance, patience=self.patience, slow=touch.slow,
         )  # fmt: skip
         return {"heading": heading, "smooth_wrench": smooth}
 

@@ -1,9 +1,10 @@
-"""A short movement primitive along the heading, planned anew from where the tool is."""
+"""A short movement primitive along the heading that begins anew at every policy step."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
@@ -15,53 +16,73 @@ from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
 from ppt_rl.transforms.promp import ProMPTransform
 
-__all__ = ["RecedingProMPTransform"]
+__all__ = ["RecedingKeys", "RecedingProMPTransform"]
+
+
+@dataclass(frozen=True)
+class RecedingKeys:
+    """Entries of a :class:`RecedingProMPTransform`.
+
+    Attributes:
+        action: the action: residual outside, references towards the environment.
+        pose: end-effector pose.
+        heading: heading of the tool, as :class:`HeadingFrameTransform` writes it.
+        weights: reference weights, as :class:`ViaPointTransform` writes them; where missing, the prior's mean.
+        twist: measured twist; read only with a ``max_slip``, like the next two.
+        contact: whether the tool touches a wall, as :class:`ContactViaPointTransform` writes it.
+        tangent: unit vector along the wall, world axes on the map, as that transform writes it.
+    """
+
+    action: NestedKey = "action"
+    pose: NestedKey = "pose"
+    heading: NestedKey = "heading"
+    weights: NestedKey = "weights_mean"
+    twist: NestedKey = "twist"
+    contact: NestedKey = "contact"
+    tangent: NestedKey = "via_tangent"
 
 
 class RecedingProMPTransform(ProMPTransform):
     r"""A :class:`ProMPTransform` whose primitive begins anew at every policy step, in the frame of the tool.
+
+    Weights, via-points and residual are in heading axes (ahead, left, up). With the end effector's position ``x``, its
+    heading ``psi`` and the last reference ``y_0``, all at the policy step,
 
     .. math::
         y(\phi) = o + R_z(\psi)\, \Phi(\phi)^\top W, \qquad
         o = x + R_z(\psi)\,\mathrm{clip}\big(R_z(-\psi)(y_0 - x),\ -l,\ l\big), \qquad
         w = w_{ref} + \mathrm{scale} \cdot \Delta w
 
-    with the end effector's position ``x``, its heading ``psi`` and the last reference ``y_0`` at the policy step:
-    weights, via-points and residual are in heading axes (ahead, left, up). Of the primitive's duration the first
-    ``replan_steps`` are executed, or fewer where the macro step is interrupted, then the next one takes over,
-    continuous in reference and velocity. A blocked tool does not let the reference run away: the frame's
-    origin is at most the lead ``l`` from the tool, and the primitive leads from the old reference to where it would be
-    from there. What the tool touches has turned it within milliseconds, and the reference turns with it. With
-    ``near(a, b) = a + clip(b - a, -s, s)`` and a slip ``s``, the primitive begins, on the map where a wall is touched
-    (observation ``contact``, tangent ``t``, normal ``n``), and vertically everywhere, as there is always a floor, at
+    The first ``replan_steps`` of the primitive are executed, or fewer where the macro step is interrupted. Then the
+    next one takes over, continuous in reference and velocity. The origin ``o`` is at most the lead ``l`` from the tool,
+    so the reference cannot run away from a blocked tool: the primitive leads from the old reference to where it would
+    be from that origin.
+
+    With a slip ``s``, the starting velocity follows what the tool touches, because contact turns the tool within
+    milliseconds. Let ``near(a, b) = a + clip(b - a, -s, s)``. Where the tool touches a wall (tangent ``t``, normal
+    ``n``) the primitive starts on the map with the first velocity; vertically it always starts with the second, as
+    there is always a floor:
 
     .. math:: \dot y_{0,xy}' = |\dot y_{0,xy}|\, t + \mathrm{near}(\dot x \cdot n,\ \dot y_0 \cdot n)\, n, \qquad
         \dot y_{0,z}' = \mathrm{near}(\dot x_z,\ \dot y_{0,z})
 
-    as fast as before along the wall, and across wall and floor at most the slip faster or slower than the tool, which
-    is not pressed on the way it wanted to go, nor into a ramp. Away from walls ``xy`` is continuous in velocity too,
-    and without ``s`` everything is.
+    That is: as fast as before along the wall, but across wall and floor at most ``s`` faster or slower than the tool,
+    which is then not pressed on into the wall or a ramp. Away from walls the velocity on the map stays continuous.
 
-    State and observations as for :class:`ProMPTransform`; ``reference_position`` and ``reference_velocity`` are in
-    world coordinates, ``weights`` in the tool's frame, and ``phase`` is where the last primitive was left.
+    State and observations are those of :class:`ProMPTransform`; ``reference_position`` and ``reference_velocity`` are
+    in world coordinates, ``weights`` in the tool's frame, and ``phase`` is where the last primitive ended.
 
     Args:
         promp: the movement primitive, of three coordinates.
-        task_space: with the coordinates x, y, z.
+        task_space: task space with the coordinates x, y, z.
         residual_scale: one number, or three: how far a residual of 1 moves a weight ahead, to the left and up [m].
-        max_lead: l, three numbers: how far ahead, to the left and up of the tool a primitive may begin [m]. Zero begins
-            at the tool itself.
-        max_slip: s, how much faster or slower than the tool a primitive may begin across wall and floor [m/s]; None for
-            no limit.
+        max_lead: l, three numbers: how far ahead, to the left and up of the tool a primitive may begin [m]. With zeros
+            it begins at the tool.
+        max_slip: s, how much faster or slower than the tool a primitive may begin across wall and floor [m/s]; None
+            sets no limit.
         replan_steps: control steps from one policy step to the next.
         dt: control step [s]; None takes it from the environment, and needs one.
-        action_key: the action: residual outside, references towards the environment.
-        pose_key: end-effector pose observation.
-        twist_key: measured twist; needed for ``max_slip`` only.
-        contact_key: contact observation, as :class:`ContactViaPointTransform` writes it; likewise.
-        tangent_key: of the wall, world axes on the map, as that transform writes it; likewise.
-        heading_key: heading observation, as :class:`HeadingFrameTransform` writes it.
-        weights_key: reference weights, as :class:`ViaPointTransform` writes them; where missing, the prior's mean.
+        keys: entries that are read and written; None takes the defaults.
 
     Raises:
         ValueError: if the task space has other coordinates than x, y, z, or as for :class:`ProMPTransform`.
@@ -80,21 +101,16 @@ class RecedingProMPTransform(ProMPTransform):
         max_slip: float | None = None,
         replan_steps: int = 20,
         dt: float | None = None,
-        action_key: NestedKey = "action",
-        pose_key: NestedKey = "pose",
-        twist_key: NestedKey = "twist",
-        contact_key: NestedKey = "contact",
-        tangent_key: NestedKey = "via_tangent",
-        heading_key: NestedKey = "heading",
-        weights_key: NestedKey = "weights_mean",
+        keys: RecedingKeys | None = None,
     ) -> None:
         if task_space.axes != ("x", "y", "z"):
             raise ValueError(f"task_space has the coordinates {task_space.axes}; expected ('x', 'y', 'z').")
+        keys = RecedingKeys() if keys is None else keys
         super().__init__(
-            promp, task_space, residual_scale=residual_scale, replan_steps=replan_steps, dt=dt, action_key=action_key,
-            pose_key=pose_key, weights_key=weights_key,
+            promp, task_space, residual_scale=residual_scale, replan_steps=replan_steps, dt=dt, action_key=keys.action,
+            pose_key=keys.pose, weights_key=keys.weights,
         )  # fmt: skip
-        self.heading_key, self._wall_keys = heading_key, (twist_key, contact_key, tangent_key)
+        self.keys = keys
         if max_slip is not None and not 0 <= max_slip < math.inf:
             raise ValueError(f"max_slip is {max_slip}; expected at least 0 m/s, or None.")
         self.max_slip = max_slip
@@ -112,10 +128,10 @@ class RecedingProMPTransform(ProMPTransform):
         return phase, to_heading(position - origin, heading), to_heading(self._turned(tensordict, velocity), heading)
 
     def _turned(self, tensordict: TensorDictBase, velocity: Tensor) -> Tensor:
-        """Velocity to begin at, world: along what the tool touches."""
+        """Velocity ``(*B, 3)`` at which the primitive begins, world axes: along what the tool touches."""
         if self.max_slip is None:
             return velocity
-        twist, contact, tangent = self._require(tensordict, *self._wall_keys)
+        twist, contact, tangent = self._require(tensordict, self.keys.twist, self.keys.contact, self.keys.tangent)
         normal = torch.stack([-tangent[..., 1], tangent[..., 0]], -1)
         tool, wanted = (
             torch.cat([(v[..., :2] * normal).sum(-1, keepdim=True), v[..., 2:3]], -1) for v in (twist, velocity)
@@ -131,7 +147,7 @@ class RecedingProMPTransform(ProMPTransform):
 
     def _frame(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Origin ``(*B, 3)`` and heading ``(*B, 1)`` of the primitive's frame in world."""
-        pose, heading = self._require(tensordict, self.pose_key, self.heading_key)
+        pose, heading = self._require(tensordict, self.keys.pose, self.keys.heading)
         tool = self.task_space.project(pose)
         reference = tensordict.get("reference_position", None)
         if reference is None:

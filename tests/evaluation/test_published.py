@@ -135,14 +135,14 @@ def test_a_missing_card_is_named(tmp_path):
 def test_a_card_with_an_entry_that_is_missing_or_of_another_kind_is_refused(published, name, value):
     edit_card(published, **{name: value})
     for read in (pretrained_card, lambda directory: load_pretrained(directory, modules(3))):
-        with pytest.raises(CheckpointMismatch, match="is no card: expected variant, config and sha256"):
+        with pytest.raises(CheckpointMismatch, match="is not a card: expected variant, config and sha256"):
             read(published)
 
 
 @pytest.mark.parametrize("content", ["3", "null", '"variant"', '["variant", "config", "sha256"]'])
 def test_json_that_is_no_record_is_no_card(published, content):
     (published / "card.json").write_text(content)
-    with pytest.raises(CheckpointMismatch, match="is no card"):
+    with pytest.raises(CheckpointMismatch, match="is not a card"):
         load_pretrained(published, modules(3))
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from ppt_rl.functional.contact import WallContact, is_touching, wall_contact
+from ppt_rl.functional.contact import WallContact, WallTouch, is_touching, wall_contact
 from tests.sampling import normal
 
 F64 = torch.float64
@@ -215,3 +215,19 @@ def test_the_result_is_finite_for_forces_and_speeds_of_any_size(dtype: torch.dty
     direction, motion, heading = drawn()
     for value in felt((force * direction).to(dtype), (speed * motion).to(dtype), heading.to(dtype)):
         assert value.isfinite().all()
+
+
+# -- numbers out of range ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["friction", "slow"])
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
+def test_friction_and_speed_that_are_not_positive_are_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=rf"{name} is {value}; expected a finite number above 0"):
+        WallTouch(**{name: value})
+
+
+@pytest.mark.parametrize(("on", "off"), [(0.4, 0.5), (1.0, 0.0), (1.0, -0.1), (math.nan, 0.5)])
+def test_contact_that_begins_below_the_force_where_it_ends_is_refused(on: float, off: float) -> None:
+    with pytest.raises(ValueError, match=r"on and off are .* N; expected on >= off > 0"):
+        WallTouch(on=on, off=off)

@@ -1,19 +1,21 @@
 import copy
+import functools
 import math
 
 import pytest
 import torch
 from torch.testing import assert_close
 
-from ppt_rl.arms import PANDA
-from ppt_rl.envs.models import PADDLE, table_scene
+from ppt_rl.arms import PANDA, Arm, arm_names, find_arm
+from ppt_rl.envs.models import CYLINDER, PADDLE, table_scene
 from ppt_rl.envs.mujoco_imports import mjcf, mujoco
 from ppt_rl.functional.rotations import quat_conjugate, quat_from_yaw, quat_multiply, quat_to_matrix
 from ppt_rl.modules import Kinematics
 from tests.sampling import normal, random_joint_positions
 
 F32, F64 = torch.float32, torch.float64
-REACH = torch.tensor(PANDA.home, dtype=F64)
+HOME = torch.tensor(PANDA.home, dtype=F64)
+ARMS = [find_arm(name) for name in arm_names()]
 
 
 @pytest.fixture(scope="module")
@@ -21,14 +23,14 @@ def kinematics() -> Kinematics:
     return Kinematics(PANDA, PADDLE.length, dtype=F64)
 
 
-@pytest.fixture(scope="module")
-def mujoco_truth() -> tuple[torch.Tensor, ...]:
+@functools.cache
+def mujoco_truth(arm: Arm) -> tuple[torch.Tensor, ...]:
     """1000 joint positions inside the limits with MuJoCo's site position, site matrix and site Jacobian."""
-    physics = mjcf.Physics.from_mjcf_model(table_scene(PANDA))
+    physics = mjcf.Physics.from_mjcf_model(table_scene(arm))
     model, data = physics.model.ptr, physics.data.ptr
     site = physics.model.name2id("end_effector", "site")
-    joint_position = random_joint_positions(1000)
-    position, matrix, jacobian = torch.zeros(1000, 3), torch.zeros(1000, 3, 3), torch.zeros(1000, 6, 7)
+    joint_position = random_joint_positions(1000, arm=arm)
+    position, matrix, jacobian = torch.zeros(1000, 3), torch.zeros(1000, 3, 3), torch.zeros(1000, 6, arm.num_joints)
     position, matrix, jacobian = position.double(), matrix.double(), jacobian.double()
     for i, q in enumerate(joint_position.numpy()):
         data.qpos[:] = q
@@ -40,17 +42,19 @@ def mujoco_truth() -> tuple[torch.Tensor, ...]:
     return joint_position, position, matrix, jacobian
 
 
+@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 @pytest.mark.parametrize(("dtype", "atol"), [(F32, 1e-5), (F64, 1e-12)], ids=["float32", "float64"])
-def test_pose_and_jacobian_agree_with_mujoco(mujoco_truth, dtype, atol):
-    joint_position, position, matrix, jacobian = mujoco_truth
-    pose, own_jacobian = Kinematics(PANDA, PADDLE.length, dtype=dtype)(joint_position.to(dtype))
+def test_pose_and_jacobian_agree_with_mujoco(arm, dtype, atol):
+    joint_position, position, matrix, jacobian = mujoco_truth(arm)
+    pose, own_jacobian = Kinematics(arm, PADDLE.length, dtype=dtype)(joint_position.to(dtype))
     for own, true in ((pose[:, :3], position), (quat_to_matrix(pose[:, 3:]), matrix), (own_jacobian, jacobian)):
         assert own.dtype == dtype
         assert_close(own.double(), true, rtol=0.0, atol=atol)
 
 
-def test_at_home_the_tool_points_down_in_front_of_the_base(kinematics):
-    pose, _ = kinematics(REACH)
+@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+def test_at_home_the_tool_points_down_in_front_of_the_base(arm):
+    pose, _ = Kinematics(arm, PADDLE.length, dtype=F64)(torch.tensor(arm.home, dtype=F64))
     assert_close(quat_to_matrix(pose[3:]), torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=F64)), rtol=0.0, atol=1e-12)
     assert pose[0].item() > 0.3
     assert pose[1].item() == pytest.approx(0.0, abs=1e-12)
@@ -122,35 +126,47 @@ def test_it_has_no_state_to_save(kinematics):
     assert not kinematics.state_dict()
 
 
+@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 @pytest.mark.parametrize("dtype", [F32, F64])
-def test_inverse_kinematics_reaches_poses_near_the_guess_inside_the_limits(dtype):
-    kinematics = Kinematics(PANDA, PADDLE.length, dtype=dtype)
-    wanted, _ = kinematics((REACH + 0.15 * normal(30, 7)).to(dtype))
-    found = kinematics.inverse(wanted, REACH.to(dtype).expand(30, 7))
+def test_inverse_kinematics_reaches_poses_near_the_guess_inside_the_limits(arm, dtype):
+    kinematics, home = Kinematics(arm, PADDLE.length, dtype=dtype), torch.tensor(arm.home, dtype=dtype)
+    wanted, _ = kinematics(home + 0.15 * normal(30, arm.num_joints).to(dtype))
+    found = kinematics.inverse(wanted, home.expand(30, -1))
     reached, _ = kinematics(found)
     assert_close(reached[:, :3], wanted[:, :3], rtol=0.0, atol=1e-4)
     assert bool(((reached[:, 3:] * wanted[:, 3:]).sum(-1).abs() > math.cos(0.5e-4) - 1e-6).all())
-    low, high = torch.tensor(PANDA.joints.position_limits, dtype=dtype).unbind(-1)
+    low, high = torch.tensor(arm.joints.position_limits, dtype=dtype).unbind(-1)
     assert bool(((found >= low) & (found <= high)).all())
 
 
-def test_inverse_kinematics_of_a_pose_already_reached_returns_the_guess(kinematics):
+@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+def test_an_upright_tool_reaches_the_arms_reach_at_the_tables_height(arm):
+    radius, bearing = torch.linspace(*arm.reach, 5, dtype=F64), torch.linspace(-1.0, 1.0, 5, dtype=F64)
+    radius, bearing = torch.meshgrid(radius, bearing, indexing="ij")
+    place = torch.stack([radius * bearing.cos(), radius * bearing.sin()], -1).reshape(-1, 2)
+    down = torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0], dtype=F64).expand(len(place), 5)
+    kinematics, home = Kinematics(arm, CYLINDER.length, dtype=F64), torch.tensor(arm.home, dtype=F64)
+    pose, _ = kinematics(kinematics.inverse(torch.cat([place, down], -1), home.expand(len(place), -1), iterations=300))
+    assert_close(pose[:, :2], place, rtol=0.0, atol=1e-4)
+
+
+def test_inverse_kinematics_of_a_reached_pose_is_the_guess(kinematics):
     guess = random_joint_positions(5)
     assert_close(kinematics.inverse(kinematics(guess)[0], guess), guess, rtol=0.0, atol=1e-12)
 
 
 def test_inverse_kinematics_counts_the_poses_out_of_reach(kinematics):
-    pose = kinematics(REACH)[0].repeat(3, 1)
+    pose = kinematics(HOME)[0].repeat(3, 1)
     pose[1, 0] += 2.0
     with pytest.raises(ValueError, match="no joint position found for 1 of the poses"):
-        kinematics.inverse(pose, REACH.expand(3, 7))
+        kinematics.inverse(pose, HOME.expand(3, 7))
 
 
-def test_inverse_kinematics_does_not_mistake_the_opposite_orientation_for_the_wanted_one(kinematics):
-    pose = kinematics(REACH)[0].clone()
+def test_inverse_kinematics_does_not_take_the_opposite_orientation_for_the_wanted_one(kinematics):
+    pose = kinematics(HOME)[0].clone()
     pose[3:] = quat_multiply(quat_from_yaw(torch.tensor(math.pi, dtype=F64)), pose[3:])
     with pytest.raises(ValueError, match="no joint position found for 1 of the poses"):
-        kinematics.inverse(pose, REACH)
+        kinematics.inverse(pose, HOME)
 
 
 @pytest.mark.parametrize("shape", [(), (6,), (2, 8)])

@@ -13,7 +13,7 @@ from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaMazeEnv, PandaPushEnv
-from ppt_rl.functional import MetricsConfig
+from ppt_rl.functional import MetricsConfig, ViaPointConfig
 from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
@@ -26,6 +26,7 @@ from ppt_rl.transforms import (
     MacroStepTransform,
     PowerLimitTransform,
     ProMPTransform,
+    RecedingKeys,
     RecedingProMPTransform,
     ViaPointTransform,
 )
@@ -95,14 +96,8 @@ CASES: dict[str, Case] = {
     "ContactViaPointTransform": Case(
         lambda **kwargs: ContactViaPointTransform(
             0.1,
-            **{
-                "capacity": 3,
-                "lookahead": 0.05,
-                "spacing": 0.02,
-                "wrench_key": "wrench",
-                "heading_key": "start_heading",
-                **kwargs,
-            },
+            ViaPointConfig(capacity=3, lookahead=0.05, spacing=0.02),
+            **{"wrench_key": "wrench", "heading_key": "start_heading", **kwargs},
         ),
         state=(
             "contact",
@@ -193,13 +188,15 @@ CASES: dict[str, Case] = {
         lambda **kwargs: RecedingProMPTransform(
             make_promp(),
             TaskSpace(("x", "y", "z"), ORIGIN),
-            **{"replan_steps": 5, "heading_key": "start_heading", **kwargs},
+            **{"replan_steps": 5, "keys": RecedingKeys(heading="start_heading"), **kwargs},
         ),
         inner=(5, 13),
         outer=(12,),
         state=("phase", "reference_position", "reference_velocity", "weights"),
         timed=True,
-        nested={**_ACTION, "pose_key": ("agent", "pose"), "heading_key": ("agent", "start_heading")},
+        nested={
+            "keys": RecedingKeys(action=("agent", "action"), pose=("agent", "pose"), heading=("agent", "start_heading"))
+        },
     ),
     "ViaPointTransform": Case(
         lambda **kwargs: ViaPointTransform(make_promp(), write_cov=True, **kwargs),
@@ -231,6 +228,7 @@ def make_nested(name: str, batch: tuple[int, ...] = ()) -> TransformedEnv:
     """A case's transform with nested keys."""
     case = CASES[name]
     key = case.nested.get("action_key", case.nested.get("effort_key", "action"))
+    key = case.nested["keys"].action if "keys" in case.nested else key
     base = make_base(name, batch, action_key=key, prefix=case.prefix)
     return TransformedEnv(base, case.make(**case.nested))
 

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.testing import assert_close
 from torchrl.envs import TransformedEnv
 
+from ppt_rl.functional import ViaPointConfig, WallTouch
 from ppt_rl.functional.heading import from_heading
 from ppt_rl.transforms import ContactViaPointTransform
 from tests.sampling import normal, random_poses
@@ -25,16 +26,12 @@ STATE = (
 )  # fmt: skip
 
 
-def make_transform(**kwargs: Any) -> ContactViaPointTransform:
-    given: dict[str, Any] = {
-        "lookahead": LOOKAHEAD,
-        "spacing": SPACING,
-        "speed": SPEED,
-        "offset": OFFSET,
-        "std": STD,
-        "dt": DT,
-    }
-    return ContactViaPointTransform(kwargs.pop("duration", DURATION), **{**given, "friction": FRICTION, **kwargs})
+def make_transform(*, duration: float = DURATION, dt: float = DT, **kwargs: Any) -> ContactViaPointTransform:
+    """The transform with the numbers of its two configs by name."""
+    touch = {key: kwargs.pop(key) for key in ("friction", "slow", "on", "off") if key in kwargs}
+    given: dict[str, Any] = {"lookahead": LOOKAHEAD, "spacing": SPACING, "speed": SPEED, "offset": OFFSET, "std": STD}
+    config = ViaPointConfig(**{**given, **kwargs})
+    return ContactViaPointTransform(duration, config, WallTouch(**{"friction": FRICTION, **touch}), dt=dt)
 
 
 def wall_force(size: Tensor, way: Tensor, side: float = 1.0) -> Tensor:

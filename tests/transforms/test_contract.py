@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import multiprocessing
 from functools import partial
 
@@ -12,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Composite, LazyTensorStorage, ReplayBuffer
-from torchrl.envs import Compose, EnvBase, ParallelEnv, RewardSum, SerialEnv, StepCounter, TransformedEnv
+from torchrl.envs import Compose, EnvBase, ParallelEnv, RewardSum, SerialEnv, StepCounter, Transform, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 import ppt_rl.transforms
@@ -47,7 +48,13 @@ def leaves(spec: Composite) -> set:
 
 
 def test_every_public_transform_has_a_case():
-    assert sorted(CASES) == sorted(ppt_rl.transforms.__all__)
+    public = [name for name in ppt_rl.transforms.__all__ if issubclass(getattr(ppt_rl.transforms, name), Transform)]
+    assert sorted(CASES) == sorted(public)
+
+
+@every_transform
+def test_a_constructor_has_at_most_eight_arguments(name):
+    assert len(inspect.signature(getattr(ppt_rl.transforms, name)).parameters) <= 8
 
 
 # -- environments ------------------------------------------------------------------------------------------------------

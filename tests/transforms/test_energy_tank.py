@@ -8,6 +8,7 @@ from torchrl.envs.utils import check_env_specs
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
+from ppt_rl.functional.energy_tank import TANK_LAWS, EnergyTankStep
 from ppt_rl.modules import Kinematics
 from ppt_rl.transforms import EnergyTankTransform, JointTorqueTransform, MacroStepTransform
 from tests.engines import ONE_THREAD
@@ -17,8 +18,7 @@ from tests.transforms.mocks import MockArmEnv, NestedEffortEnv, actions_for, pla
 NESTED = {
     "effort_key": ("agent", "action"),
     "flow_key": ("agent", "twist"),
-    "energy_key": ("agent", "tank_energy"),
-    "valve_key": ("agent", "valve"),
+    "out_keys": (("agent", "tank_energy"), ("agent", "valve")),
 }
 
 
@@ -77,9 +77,48 @@ def test_a_number_out_of_range_is_refused_by_name(name, value):
         EnergyTankTransform(**{name: value})
 
 
-def test_an_unknown_mode_is_refused():
-    with pytest.raises(ValueError, match="mode is 'passive'"):
-        EnergyTankTransform(mode="passive")
+@pytest.mark.parametrize("keys", [(), ("tank_energy",), ("a", "b", "c")])
+def test_other_than_two_keys_to_write_are_refused(keys):
+    with pytest.raises(ValueError, match="expected two: where the level and the valve are written"):
+        EnergyTankTransform(out_keys=keys)
+
+
+def test_an_unknown_mode_is_refused_with_the_names_of_the_laws(monkeypatch):
+    with pytest.raises(ValueError, match=r"mode is 'half'; expected one of \['paper'\]"):
+        EnergyTankTransform(mode="half")
+    monkeypatch.setitem(TANK_LAWS, "half", half)
+    with pytest.raises(ValueError, match=r"mode is 'third'; expected one of \['paper', 'half'\]"):
+        EnergyTankTransform(mode="third")
+
+
+def half(effort, flow, energy, *, p_max, e_max, dt, eps):
+    """A law of a user's own: half of the effort passes, at a millijoule a step, as long as there is energy."""
+    valve = torch.where(energy > 0, 0.5, 0.0)
+    return EnergyTankStep(valve, (energy - 1e-3).clamp_min(0.0), valve * (effort * flow).sum(-1, keepdim=True).abs())
+
+
+def test_a_law_that_is_registered_by_a_user_acts_through_the_transform(monkeypatch):
+    monkeypatch.setitem(TANK_LAWS, "half", half)
+    env = TransformedEnv(MockArmEnv((2,), horizons=(8,)), EnergyTankTransform(e_max=5e-3, mode="half"))
+    check_env_specs(env)
+    steps = play(env, actions_for(env, 8))
+    valve = torch.tensor([0.5] * 5 + [0.0] * 3).reshape(1, 8, 1)
+    assert torch.equal(steps["next", "executed"], valve * steps["action"])
+    level = (5e-3 - 1e-3 * torch.arange(1, 9)).clamp_min(0.0).reshape(1, 8, 1).expand(2, 8, 1)
+    torch.testing.assert_close(steps["next", "tank_energy"], level, rtol=0, atol=1e-6)
+
+
+def test_the_transform_gives_the_law_all_of_its_numbers(monkeypatch):
+    seen = []
+
+    def law(effort, flow, energy, **numbers):
+        seen.append(numbers)
+        return half(effort, flow, energy, **numbers)
+
+    monkeypatch.setitem(TANK_LAWS, "watched", law)
+    env = TransformedEnv(MockArmEnv((2,)), EnergyTankTransform(1.5, 2.5, mode="watched", eps=1e-4))
+    play(env, actions_for(env, 1))
+    assert seen == [{"p_max": 1.5, "e_max": 2.5, "dt": 0.01, "eps": 1e-4}]
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])

@@ -11,6 +11,7 @@ from torch.testing import assert_close
 from torchrl.envs import TransformedEnv
 
 from ppt_rl.envs import PandaMazeEnv
+from ppt_rl.functional import WallTouch
 from ppt_rl.functional.heading import from_heading, to_heading
 from ppt_rl.tasks.maze.config import maze_space
 from ppt_rl.tasks.maze.follower import WallFollower
@@ -23,7 +24,7 @@ from tests.transforms.mocks import ScriptedEnv, play
 F64 = torch.float64
 ROWS, STEPS = 3, 12
 EXACT: dict[str, Any] = {"rtol": 0.0, "atol": 1e-12}
-NUMBERS = ("distance", "patience", "slow", "friction", "min_force", "smoothing", "dt")
+NUMBERS = ("distance", "patience", "smoothing", "dt")
 
 
 def scripted(twist: Tensor, wrench: Tensor, start: Tensor, **kwargs: Any) -> TransformedEnv:
@@ -110,9 +111,12 @@ def test_a_tool_held_up_by_a_wall_turns_along_it(side: float) -> None:
     assert heading[-1] < 0.01
 
 
-def test_a_force_too_weak_for_a_wall_does_not_turn_a_tool_that_stands() -> None:
-    heading = steady((0.0, 0.0), (0.2, 0.9), 50, 1.0)["heading"]
-    assert_close(heading, torch.ones_like(heading), **EXACT)
+@pytest.mark.parametrize(("on", "turns"), [(1.0, False), (0.8, True)])
+def test_a_tool_that_stands_turns_along_a_wall_only_if_the_force_on_it_is_large_enough(on: float, turns: bool) -> None:
+    heading = steady((0.0, 0.0), (0.2, 0.9), 50, 1.0, touch=WallTouch(on=on))["heading"]
+    assert bool((heading - 1.0).abs().max() > 0.1) == turns
+    if not turns:
+        assert_close(heading, torch.ones_like(heading), **EXACT)
 
 
 # -- state -------------------------------------------------------------------------------------------------------------

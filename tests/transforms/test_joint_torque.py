@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
-from ppt_rl.arms import PANDA
+from ppt_rl.arms import PANDA, UR5E
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.modules import Kinematics
 from ppt_rl.transforms import JointTorqueTransform
@@ -34,6 +35,22 @@ def test_without_posture_the_torque_is_the_transposed_jacobian_times_the_wrench(
     torch.testing.assert_close(steps["next", "executed"], expected)
 
 
+@pytest.mark.parametrize("posture", [{}, {"posture_stiffness": 10.0, "posture_damping": 2.0}])
+def test_on_six_joints_there_is_no_nullspace_so_the_posture_is_left_out(posture):
+    kinematics = Kinematics(UR5E, 0.1)
+    position = torch.tensor(UR5E.home) + 0.1
+    wrench = torch.tensor([[5.0, -3.0, 2.0, 0.1, 0.2, -0.3]])
+    td = TensorDict({"joint_position": position.unsqueeze(0), "action": wrench}, [1])  # joint velocity is not needed
+    torque = JointTorqueTransform(kinematics, **posture).inv(td)["action"]
+    torch.testing.assert_close(torque, wrench @ kinematics.jacobian(position))
+
+
+def test_the_limits_are_those_of_the_arm():
+    td = TensorDict({"joint_position": torch.tensor([UR5E.home]), "action": torch.full((1, 6), 1e6)}, [1])
+    torque = JointTorqueTransform(Kinematics(UR5E, 0.1)).inv(td)["action"]
+    torch.testing.assert_close(torque.abs(), torch.tensor([UR5E.joints.torque_limits]))
+
+
 def test_the_posture_term_moves_the_joints_but_hardly_accelerates_the_end_effector():
     env = make_env()
     steps = play(env, torch.zeros(6, 2, 6))
@@ -49,7 +66,7 @@ def test_the_posture_term_moves_the_joints_but_hardly_accelerates_the_end_effect
     assert (accelerated(posture) < 0.05 * accelerated(raw)).all()
 
 
-def test_the_torque_stays_within_the_pandas_limits_and_reaches_them():
+def test_the_torque_stays_within_the_arms_limits_and_reaches_them():
     env = make_env()
     torque = play(env, actions_for(env, 6, scale=1000.0))["next", "executed"]
     assert (torque.abs() <= LIMITS).all()
@@ -84,7 +101,7 @@ def test_the_simulated_arm_receives_what_the_transform_gives_and_pushes_along_th
 @pytest.mark.parametrize(
     ("kwargs", "match"),
     [
-        ({"posture": (0.0,) * 6}, "posture has 6 numbers"),
+        ({"posture": (0.0,) * 6}, "posture has 6 numbers; expected 7"),
         ({"posture_stiffness": -1.0}, "posture_stiffness"),
         ({"posture_damping": -1.0}, "posture_damping"),
         ({"max_torque_rate": 0.0}, "max_torque_rate"),

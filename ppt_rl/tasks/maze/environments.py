@@ -17,18 +17,11 @@ def make_training_env(
 ) -> MazeEnv:
     """Straight corridors to train in.
 
-    Args:
-        config: options of the recipe.
-        num_envs: number of environments that step together.
-        seed: seed of the episodes; None draws one.
-        audit: whether power and work are measured at the rate of the physics.
-        given: must be empty; training corridors are drawn.
-
-    Returns:
-        The environment.
+    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given``
+    must be empty, since training corridors are drawn.
 
     Raises:
-        ValueError: if episodes are given.
+        ValueError: if mazes are given.
     """
     if given:
         raise ValueError(f"{len(given)} mazes are given; expected none, since training corridors are drawn.")
@@ -39,17 +32,9 @@ def make_training_env(
 def make_test_env(
     config: MazeConfig, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[MazeLayout] = ()
 ) -> MazeEnv:
-    """Random mazes to be judged in, or given ones.
+    """Random mazes to be judged in, those of the files ``config.layouts``, or ``given`` ones, which are taken in turn.
 
-    Args:
-        config: options of the recipe; its ``layouts`` are files of mazes to take in turn.
-        num_envs: number of environments that step together.
-        seed: seed of the episodes; None draws one.
-        audit: whether power and work are measured at the rate of the physics.
-        given: mazes to take in turn, instead of those of ``config.layouts``.
-
-    Returns:
-        The environment.
+    ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`.
 
     Raises:
         ValueError: if a maze cannot be built.

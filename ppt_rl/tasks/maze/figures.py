@@ -47,7 +47,7 @@ def plot_layout(layout: MazeLayout, path: Path) -> None:
 
     Args:
         layout: the maze.
-        path: where the picture goes.
+        path: path of the picture.
     """
     corridor = build_corridor(layout)
     figure = Figure(figsize=(8, 5), layout="constrained")
@@ -64,13 +64,13 @@ def plot_layout(layout: MazeLayout, path: Path) -> None:
 
 
 def plot_rollouts(layout: MazeLayout, rollouts: Mapping[str, Mapping[str, Array]], path: Path) -> None:
-    """Rollouts in one maze by variant, from above and from the side, with the via-points that touch made.
+    """Rollouts in one maze by variant, from above and from the side, with the via-points inferred from touch.
 
     Args:
         layout: the maze.
         rollouts: by variant: ``pose`` (N, T, 7) [m, -], ``steps`` (N,) control steps of each, and, where there are
             any, ``via_position`` (N, T, M, 3) [m] with ``via_mask`` (N, T, M).
-        path: where the picture goes.
+        path: path of the picture.
     """
     corridor = build_corridor(layout)
     figure = Figure(figsize=(6.5 * len(rollouts), 6.5), layout="constrained")
@@ -93,7 +93,7 @@ def plot_rollouts(layout: MazeLayout, rollouts: Mapping[str, Mapping[str, Array]
 
 
 def _via_points(rollout: Mapping[str, Array]) -> Array:
-    """``(N, 3)`` every via-point that was ever in a buffer, once."""
+    """``(N, 3)`` distinct via-points that were in a buffer at any time."""
     if "via_position" not in rollout:
         return np.zeros((0, 3))
     found = [

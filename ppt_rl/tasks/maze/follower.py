@@ -1,4 +1,4 @@
-"""A wall follower written by hand: the floor that learnt policies in the maze are judged against."""
+"""A hand-written wall follower: the baseline of the learnt maze policies."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["WallFollower"]
 
 
 class WallFollower:
-    r"""Drags the reference ahead of the tool along its heading, pressed lightly on the floor; it learns nothing.
+    r"""Keeps the reference ahead of the tool along its heading and lightly below the floor; it learns nothing.
 
     .. math:: x_d = x + (l \cos\psi,\ l \sin\psi,\ -d), \qquad \dot x_d = v\,(\cos\psi, \sin\psi, 0)
 
@@ -21,10 +21,10 @@ class WallFollower:
     :class:`~ppt_rl.transforms.ImpedanceTransform`, at every control step.
 
     Args:
-        task_space: with the coordinates x, y, z.
-        lead: l, of the reference ahead of the tool [m].
-        speed: v [m/s].
-        depth: d, of the reference below the tool [m].
+        task_space: task space with the coordinates x, y, z.
+        lead: ``l``, distance of the reference ahead of the tool [m].
+        speed: ``v`` [m/s].
+        depth: ``d``, distance of the reference below the tool [m].
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class WallFollower:
         self.depth = require_positive("depth", depth, "m")
 
     def reference(self, pose: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-        """Position and velocity to follow.
+        """Reference position and velocity.
 
         Args:
             pose: ``(*B, 7)`` of the tool [m, -].
@@ -45,10 +45,10 @@ class WallFollower:
         Returns:
             ``(*B, 3)`` position [m] and velocity [m/s].
         """
-        way = torch.cat([heading.cos(), heading.sin(), torch.zeros_like(heading)], -1)
-        position = self.task_space.project(pose) + self.lead * way
+        direction = torch.cat([heading.cos(), heading.sin(), torch.zeros_like(heading)], -1)
+        position = self.task_space.project(pose) + self.lead * direction
         position[..., 2] -= self.depth
-        return position, self.speed * way
+        return position, self.speed * direction
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the reference as the action."""

@@ -18,7 +18,7 @@ def draw_maze_study(groups: Mapping[str, Sequence[KeptRun]], directory: Path) ->
 
     Args:
         groups: finished runs by label.
-        directory: where to.
+        directory: target directory.
     """
     plot_layout(paper_layout(), directory / "paper_maze.png")
     plot_rollouts(

@@ -111,15 +111,8 @@ def make_push_env(
 ) -> PushEnv:
     """The bare environment of a pushing recipe, the same in training and test.
 
-    Args:
-        config: options of the recipe.
-        num_envs: number of environments that step together.
-        seed: seed of the episodes; None draws one.
-        audit: whether power and work are measured at the rate of the physics.
-        given: must be empty; pushing episodes are drawn.
-
-    Returns:
-        The environment.
+    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given``
+    must be empty, since pushing episodes are drawn.
 
     Raises:
         ValueError: if episodes are given.

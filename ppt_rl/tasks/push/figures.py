@@ -47,7 +47,7 @@ def plot_push_episode(
         episode: arrays over T control steps: ``pose`` (T, 7), ``box_pose`` (T, 7), ``power`` (T, 1), and where there is
             a tank ``tank_energy`` (T, 1) and ``valve`` (T, 1); and ``goal`` (2,), ``box_size`` (1,), ``via_position``
             (M, 3).
-        path: where the picture goes.
+        path: path of the picture.
         p_max: power limit [W].
         e_max: tank capacity [J]; None where there is no tank.
         dt: control step [s].
@@ -96,7 +96,7 @@ def _draw_scene(axes: Axes, episode: Mapping[str, Array]) -> None:
 
 
 def _placed(points: Array, pose: Array, *, tool_down: bool = False) -> Array:
-    """Points of a body, in the plane, at a pose. A tool-down body is turned over: its y axis points the other way."""
+    """Points of a body, in the plane, at a pose. With the tool down, the y axis is reversed."""
     w, x, y, z = pose[3:]
     axis_x = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z)])
     axis_y = np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z)])

@@ -1,4 +1,4 @@
-"""Scripted demonstrations, from which the priors of the movement primitives are fitted."""
+"""Scripted demonstrations of pushing, and the prior of the movement primitive that is fitted to them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PUSH_AXES = ("x", "y", "yaw")
 
 
 def minimum_jerk(phase: Tensor) -> Tensor:
-    """Rest-to-rest profile of least jerk, ``10 s^3 - 15 s^4 + 6 s^5``, clamped outside [0, 1].
+    """Minimum-jerk profile from rest to rest, ``10 s^3 - 15 s^4 + 6 s^5``, clamped outside [0, 1].
 
     Args:
         phase: ``(*B,)`` [-].
@@ -29,12 +29,12 @@ def minimum_jerk(phase: Tensor) -> Tensor:
 
 
 def push_demonstrations(via_phase: Tensor, via_position: Tensor, num_samples: int = 151) -> Tensor:
-    """Approach, then push: through the via-points at their phases, least jerk from each to the next.
+    """Approach, then push: minimum-jerk motions from one via-point to the next, at their phases.
 
     Args:
         via_phase: ``(N, M)`` increasing phases.
         via_position: ``(N, M, D)`` coordinates.
-        num_samples: samples over phase 0 to 1.
+        num_samples: number of samples over phase 0 to 1.
 
     Returns:
         ``(N, num_samples, D)`` trajectories.
@@ -51,8 +51,8 @@ def fit_push_prior(promp: ProMP, *, num_demonstrations: int = 512, seed: int = 0
 
     Args:
         promp: a primitive with the coordinates of :data:`PUSH_AXES`; changed in place.
-        num_demonstrations: how many episodes are scripted.
-        seed: of the episodes.
+        num_demonstrations: number of episodes.
+        seed: seed of the episodes.
 
     Returns:
         The primitive.

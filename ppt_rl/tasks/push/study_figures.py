@@ -24,7 +24,7 @@ def draw_push_study(groups: Mapping[str, Sequence[KeptRun]], directory: Path) ->
 
     Args:
         groups: finished runs by label.
-        directory: where to.
+        directory: target directory.
     """
     strips: dict[str, list[NDArray[np.uint8]]] = {}
     times: list[float] = []
