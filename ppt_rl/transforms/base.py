@@ -68,8 +68,8 @@ class StatefulTransform(Transform):
     def _require(self, tensordict: TensorDictBase, *keys: NestedKey) -> list[Tensor]:
         """Entries of the tensordict, or an error that names those that are missing and those that there are."""
         values: list[Any] = [tensordict.get(key, None) for key in keys]
-        if any(value is None for value in values):
-            missing = [key for key, value in zip(keys, values, strict=True) if value is None]
+        missing = [key for key, value in zip(keys, values, strict=True) if value is None]
+        if missing:
             present = sorted(str(key) for key in tensordict.keys(True, True))
             raise KeyError(f"{type(self).__name__} needs {missing}; the tensordict holds {present}.{self._hint}")
         return values
@@ -193,10 +193,11 @@ class ObserverTransform(StatefulTransform):
         readings, state = self._read(next_tensordict), {}
         if self.state_keys:
             old = {key: tensordict.get(key, None) for key in self.state_keys}
-            if any(value is None for value in old.values()):
+            if [key for key, value in old.items() if value is None]:
                 old = self._begin(*self._read(tensordict))
-            stepping = self._stepping(tensordict)
-            state = {key: _merged(stepping, value, old, key) for key, value in self._update(old, *readings).items()}
+            state, stepping = self._update(old, *readings), self._stepping(tensordict)
+            if stepping is not None:
+                state = {key: _merged(stepping, value, old, key) for key, value in state.items()}
         return self._write(next_tensordict, state, readings)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
