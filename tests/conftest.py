@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
+import ppt_rl.envs  # noqa: F401  before any test imports MuJoCo: it chooses the backend of rendering
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 

@@ -52,8 +52,9 @@ _LINKS = (
         (1.8694e-4, 1.8908e-4, 2.5756e-4, 6e-8, -1.7e-7, -9.2e-7),
     ),
 )  # fmt: skip
-#: Limits: Universal Robots, UR5e user manual and "Max. joint torques"; those of the elbow, where the forearm meets the
-#: upper arm, from the ROS description. Armature: the maker publishes none, so that of MuJoCo Menagerie's model.
+#: Limits: Universal Robots, ``Universal_Robots_ROS2_Description`` (which cites the manual); the torque limits agree
+#: with MuJoCo Menagerie's. The elbow's range is narrower, since the forearm meets the upper arm. Armature: the maker
+#: publishes none, so it is that of MuJoCo Menagerie's model.
 _JOINTS = Joints(
     position_limits=(
         Limits(-_TURN, _TURN),

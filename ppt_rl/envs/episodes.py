@@ -11,7 +11,7 @@ __all__ = ["Episodes"]
 
 
 class Episodes:
-    """State of the episodes of a batch of environments; a task adds its tensors in a subclass.
+    """State of the episodes of a batch of environments; a subclass adds the tensors of a task.
 
     Args:
         num_envs: number of environments.
@@ -20,6 +20,10 @@ class Episodes:
 
     def __init__(self, num_envs: int, dtype: torch.dtype) -> None:
         self.num_envs, self.dtype = num_envs, dtype
+        self._allocate()
+
+    def _allocate(self) -> None:
+        """Create the tensors of the task."""
 
     def zeros(self, *shape: int) -> Tensor:
         """Zeros for every environment.

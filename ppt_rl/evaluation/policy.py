@@ -150,7 +150,8 @@ def load_policy(source: str | Path, *, recipe: str | Path | None = None) -> Poli
     published = is_pretrained(path)
     path = path if published else find_checkpoint(path)
     info = pretrained_card(path) if published else checkpoint_info(path)
-    found = find_recipe(recipe or info.get("recipe") or info["variant"])
+    origin = path / info["recipe"] if "recipe" in info else info["variant"]  # an absolute path stays as it is
+    found = find_recipe(recipe or origin)
     if found.variant != info["variant"]:
         raise CheckpointMismatch(f"{path} is of variant {info['variant']!r}; the recipe makes {found.variant!r}.")
     config = restored_config(found, info["config"], path)

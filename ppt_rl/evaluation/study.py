@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -144,8 +145,11 @@ def publish(run: KeptRun, policy: Policy, directory: Path) -> None:
     record, settings = run.evaluation(), json.loads((run.run_dir / "config.json").read_text())
     config = {key: value for key, value in settings["config"].items() if key not in ("variant", "recipe")}
     config |= {"run_dir": f"runs/{run.recipe.variant}", "resume": False}
+    identity = run.recipe.identity
+    if "recipe" in identity:  # so that the card holds no path of this machine
+        identity["recipe"] = os.path.relpath(identity["recipe"], directory)
     card = {
-        **run.recipe.identity,
+        **identity,
         "command": " ".join(settings["command"]),
         "seed": run.seed,
         "config": config,

@@ -180,10 +180,11 @@ def batch_statistics(batch: TensorDictBase) -> dict[str, float]:
         batch: what the collector returned.
 
     Returns:
-        ``reward`` and each reward group by name; where episodes ended, also ``success``, ``progress`` and each metric.
+        ``reward`` and, where the task has them, the reward groups by name; where episodes ended, also ``success``,
+        ``progress`` and each metric.
     """
     following = batch["next"]
-    terms = following["reward_terms"]
+    terms = following.get("reward_terms", following.empty())
     statistics = {"reward": following["reward"].mean()}
     statistics |= {f"reward_{name}": terms[name].mean() for name in terms.keys()}
     done = following["done"].squeeze(-1)

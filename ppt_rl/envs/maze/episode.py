@@ -67,9 +67,8 @@ class MazeEpisodes(Episodes):
         dtype: precision of the tensors.
     """
 
-    def __init__(self, num_envs: int, dtype: torch.dtype) -> None:
-        super().__init__(num_envs, dtype)
-        zeros = self.zeros
+    def _allocate(self) -> None:
+        num_envs, zeros = self.num_envs, self.zeros
         self.centre = zeros(_CORNERS, 3)
         self.half_width = zeros(_CORNERS - 1)
         self.at = zeros(_CORNERS)  # distance of each corner along the centre line [m]

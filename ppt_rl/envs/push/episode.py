@@ -75,9 +75,8 @@ class PushEpisodes(Episodes):
         dtype: precision of the tensors.
     """
 
-    def __init__(self, num_envs: int, dtype: torch.dtype) -> None:
-        super().__init__(num_envs, dtype)
-        zeros = self.zeros
+    def _allocate(self) -> None:
+        num_envs, dtype, zeros = self.num_envs, self.dtype, self.zeros
         self.physical = {name: np.zeros(num_envs) for name in ("half", "mass", "friction")}  # [m], [kg], [-]
         self.half, self.box_start, self.goal = zeros(1), zeros(2), zeros(2)
         self.previous, self.initial = PushDistances(zeros(1), zeros(1)), PushDistances(zeros(1) + 1, zeros(1) + 1)

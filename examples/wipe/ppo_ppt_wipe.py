@@ -1,0 +1,149 @@
+"""PPT on wiping, a task of its own: ``ppt-rl train examples/wipe/ppo_ppt_wipe.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torchrl.envs import Transform, TransformedEnv
+from wipe_env import STIFFNESS, WipeEnv
+
+from ppt_rl.evaluation import Policy, Recipe, Task
+from ppt_rl.modules import Kinematics, ProMP, TaskSpace
+from ppt_rl.tasks import TaskConfig, env_settings, episode_metrics, make_controller
+from ppt_rl.tasks.push.prior import push_demonstrations
+from ppt_rl.training import PPOConfig, make_actor_critic
+from ppt_rl.transforms import (
+    EnergyTankTransform,
+    EpisodeMetricsTransform,
+    ImpedanceTransform,
+    JointTorqueTransform,
+    MacroStepTransform,
+    ProMPTransform,
+    ViaPointTransform,
+)
+
+AXES = ("x", "y", "z")
+#: What the policy reads, and what the critic reads besides.
+KNOWN = ("line", "wanted_force", "pose", "wrench", "reference_position", "phase", "tank_energy", "valve")
+PRIVILEGED = ("board",)
+
+
+@dataclass(frozen=True)
+class Config(TaskConfig):
+    """Train PPT (ProMP + PPO + energy tank) on wiping.
+
+    Attributes:
+        e_max: capacity of the tank [J].
+        num_basis: number of basis functions of the ProMP for each of x, y and z.
+        replan_steps: control steps from one policy step to the next; the policy feels the board at each.
+        residual_scale: change of a weight in x, y and z per unit of residual [m].
+        initial_scale: standard deviation of the untrained policy, in residuals [-].
+    """
+
+    run_dir: Path = Path("runs/ppt_wipe")
+    num_envs: int = 32
+    p_max: float = 1.0
+    e_max: float = 1.0
+    num_basis: int = 8
+    replan_steps: int = 60
+    residual_scale: tuple[float, ...] = (0.005, 0.005, 0.01)
+    initial_scale: float = 0.25
+    ppo: PPOConfig = field(default_factory=lambda: PPOConfig(total_control_steps=800_000, gamma=0.99, target_kl=0.05))
+
+    @property
+    def batch_steps(self) -> int:
+        """Policy steps of every environment in a batch: those of an episode."""
+        return -(-self.horizon // self.replan_steps)
+
+
+def make_env(
+    config: Config, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[Any] = ()
+) -> WipeEnv:
+    """The bare environment, the same in training and test."""
+    return WipeEnv(duration=config.duration, **env_settings(config, num_envs=num_envs, seed=seed, audit=audit))
+
+
+def make_modules(config: Config) -> dict[str, ProMP]:
+    """The movement primitive, its prior not fitted yet."""
+    return {"promp": ProMP(config.num_basis, len(AXES), config.duration)}
+
+
+def fit(config: Config, promp: ProMP) -> None:
+    """Fit the prior to scripted wipes of random episodes."""
+    env = make_env(config, num_envs=512, seed=0)
+    episode = env.reset()
+    promp.fit(push_demonstrations(episode["via_phase"].double(), episode["via_position"].double()))
+    env.close()
+
+
+def make_chain(config: Config, base: WipeEnv, promp: ProMP) -> list[Transform]:
+    """PPT's chain: what stands above the macro step runs at control rate."""
+    return [
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
+        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+        ImpedanceTransform(make_controller(config)),
+        EpisodeMetricsTransform(episode_metrics(config)),
+        MacroStepTransform(config.replan_steps, discount=config.ppo.gamma),
+        ProMPTransform(
+            promp,
+            TaskSpace(AXES, base.start_pose),
+            residual_scale=config.residual_scale,
+            replan_steps=config.replan_steps,
+        ),
+        ViaPointTransform(promp),
+    ]
+
+
+def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
+    """Actor on what is felt and known, critic on the board as well."""
+    return make_actor_critic(env, KNOWN, (*KNOWN, *PRIVILEGED), initial_scale=config.initial_scale)
+
+
+def force_feedback(policy: Policy, base: WipeEnv) -> tuple[TransformedEnv, Any]:
+    """A scripted controller: at each policy step it moves the reference by the error of the force over the stiffness."""
+
+    def act(tensordict: TensorDictBase) -> TensorDictBase:
+        press, reference = -tensordict["wrench"][:, 2:3], tensordict["reference_position"][:, 2:3]
+        planned = tensordict["via_position"][:, 1, 2:3]
+        wanted = reference + (press - tensordict["wanted_force"]) / STIFFNESS - planned
+        touching = (press > 0.3) & (tensordict["phase"] > 0.25)
+        return tensordict.set("action", _lift(policy.config, wanted * touching))
+
+    return policy.recipe.on(base, policy.config, policy.modules), act
+
+
+def random_policy(policy: Policy, base: WipeEnv) -> tuple[TransformedEnv, Any]:
+    """Residuals drawn as the untrained policy draws them."""
+
+    def act(tensordict: TensorDictBase) -> TensorDictBase:
+        size = policy.config.num_basis * len(AXES)
+        return tensordict.set("action", policy.config.initial_scale * torch.randn(*tensordict.shape, size))
+
+    return policy.recipe.on(base, policy.config, policy.modules), act
+
+
+def _lift(config: Config, height: Tensor) -> Tensor:
+    """The residual that lifts the whole reference by a height ``(B, 1)`` [m]."""
+    zeros = height.new_zeros(len(height), 2 * config.num_basis)  # of x and y: weights go column by column
+    return torch.cat([zeros, (height / config.residual_scale[2]).expand(-1, config.num_basis)], -1)
+
+
+WIPE = Task(
+    "wipe",
+    make_training_env=make_env,
+    make_test_env=make_env,
+    privileged=PRIVILEGED,
+    baselines={"force feedback": force_feedback, "random policy": random_policy},
+)
+RECIPE = Recipe(
+    "ppt_wipe", "PPT", WIPE, Config, make_chain, make_policy, make_modules, fit, has_tank=True, has_reference=True
+)
+
+if __name__ == "__main__":
+    RECIPE.main()
