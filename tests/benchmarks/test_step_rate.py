@@ -10,7 +10,6 @@ def test_the_benchmark_reports_rates_ratios_and_memory():
 
 
 def test_the_environment_replays_the_physics_of_the_chain(monkeypatch):
-    import ppo_ppt_push as recipe
     import torch
 
     from ppt_rl.envs.physics import ThreadedPhysics
@@ -24,7 +23,6 @@ def test_the_environment_replays_the_physics_of_the_chain(monkeypatch):
         return result
 
     monkeypatch.setattr(ThreadedPhysics, "step", spy)
-    assert recipe.VARIANT == "ppt_push"
     step_rate.measure(step_rate.Config(num_envs=2, threads=1, repeats=1, seconds=0.1))
     base, chain = states[29], states[39]
     torch.testing.assert_close(base, chain, rtol=0, atol=1e-5)

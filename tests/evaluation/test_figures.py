@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ppt_rl.evaluation.figures import moving_average, plot_push_episode, plot_training
+from ppt_rl.evaluation.figures import moving_average, plot_training
 from ppt_rl.training.logs import RunLogs, read_scalar
 
 
@@ -35,16 +35,3 @@ def test_logs_after_the_checkpoint_are_dropped_when_a_run_goes_on(tmp_path):
     RunLogs(tmp_path, last_step=200).write({"success": 0.7}, 300)
     assert read_scalar(tmp_path, "success")[0].tolist() == [100, 200, 300]
     assert read_scalar(tmp_path, "success")[1].tolist() == [0.5, 0.5, 0.7]
-
-
-def test_an_episode_is_drawn_from_its_traces(tmp_path):
-    steps = 30
-    pose = np.tile([0.4, 0.0, 0.02, 0.0, 1.0, 0.0, 0.0], (steps, 1))
-    box = np.tile([0.45, 0.0, 0.03, 1.0, 0.0, 0.0, 0.0], (steps, 1))
-    column = np.linspace(0, 1, steps)[:, None]
-    episode = {
-        "pose": pose, "box_pose": box, "power": column, "tank_energy": 3 - column, "valve": np.ones_like(column),
-        "goal": np.array([0.6, 0.1]), "box_size": np.array([0.06]), "via_position": np.zeros((3, 3)),
-    }  # fmt: skip
-    plot_push_episode(episode, tmp_path / "episode.png", p_max=2.0, e_max=3.0, dt=0.01)
-    assert (tmp_path / "episode.png").stat().st_size > 10_000

@@ -4,7 +4,15 @@ import numpy as np
 import torch
 
 from ppt_rl.evaluation.figures import plot_calibration
-from ppt_rl.evaluation.study_figures import _marginal, plot_boxes, plot_curves, plot_filmstrip, plot_promp, plot_tanks
+from ppt_rl.evaluation.study_figures import (
+    _marginal,
+    plot_boxes,
+    plot_curves,
+    plot_filmstrip,
+    plot_promp,
+    plot_sweep,
+    plot_tanks,
+)
 from ppt_rl.modules import ProMP
 
 GENERATOR = np.random.default_rng(0)
@@ -72,3 +80,10 @@ def test_a_calibration_is_drawn_with_and_without_an_audit(tmp_path):
     plot_calibration(rows | audit | {"success": np.zeros(50)}, tmp_path / "b.png", p_max=1.0, e_max=1.0)
     assert is_picture(tmp_path / "a.png")
     assert is_picture(tmp_path / "b.png")
+
+
+def test_difficulty_is_drawn_for_rates_at_their_bounds(tmp_path):
+    curve = ([0.0, 1.0, 2.0], [1.0, 0.5, 0.0], [(0.9, 1.0), (0.3, 0.7), (0.0, 0.1)])
+    curves = {"width [mm]": {"PPT": curve, "wall follower": curve}, "rise [cm]": {"PPT": curve}}
+    plot_sweep(curves, tmp_path / "difficulty.png", usual={"width [mm]": (0.5, 1.5)})
+    assert (tmp_path / "difficulty.png").stat().st_size > 5_000

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ppt_rl.envs import MazeLayout, Straight, Turn, paper_layout
-from ppt_rl.tasks.maze.figures import plot_difficulty, plot_layout, plot_rollouts
+from ppt_rl.tasks.maze.figures import plot_layout, plot_rollouts
 
 
 def drawn(path: Path) -> bool:
@@ -29,10 +29,3 @@ def test_rollouts_are_drawn_with_and_without_via_points(touched: bool, tmp_path:
     via = {"via_position": pose[:, :, None, :3], "via_mask": np.full((2, 9, 1), touched)}
     plot_rollouts(paper_layout(), {"PPT": rollout | via, "ST": rollout}, tmp_path / "rollouts.png")
     assert drawn(tmp_path / "rollouts.png")
-
-
-def test_difficulty_is_drawn_for_rates_at_their_bounds(tmp_path: Path) -> None:
-    curve = ([0.0, 1.0, 2.0], [1.0, 0.5, 0.0], [(0.9, 1.0), (0.3, 0.7), (0.0, 0.1)])
-    curves = {"width [mm]": {"PPT": curve, "wall follower": curve}, "rise [cm]": {"PPT": curve}}
-    plot_difficulty(curves, tmp_path / "difficulty.png", usual={"width [mm]": (0.5, 1.5)})
-    assert drawn(tmp_path / "difficulty.png")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ppt_rl.evaluation.episodes import interval, summarise
+from ppt_rl.evaluation.statistics import interval, summarise
 
 
 def test_the_interval_of_a_rate_is_wilsons():
