@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
+from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 from wipe_env import STIFFNESS, WipeEnv
 
@@ -48,8 +48,7 @@ class Config(TaskConfig):
 
     run_dir: Path = Path("runs/ppt_wipe")
     num_envs: int = 32
-    p_max: float = 1.0
-    e_max: float = 1.0
+    e_max: float = 1.5
     num_basis: int = 8
     replan_steps: int = 60
     residual_scale: tuple[float, ...] = (0.005, 0.005, 0.01)
@@ -84,18 +83,14 @@ def fit(config: Config, promp: ProMP) -> None:
 
 def make_chain(config: Config, base: WipeEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain: what stands above the macro step runs at control rate."""
+    space, scale = TaskSpace(AXES, base.start_pose), config.residual_scale
     return [
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
         EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
         MacroStepTransform(config.replan_steps, discount=config.ppo.gamma),
-        ProMPTransform(
-            promp,
-            TaskSpace(AXES, base.start_pose),
-            residual_scale=config.residual_scale,
-            replan_steps=config.replan_steps,
-        ),
+        ProMPTransform(promp, space, residual_scale=scale, replan_steps=config.replan_steps),
         ViaPointTransform(promp),
     ]
 
@@ -106,32 +101,24 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
 
 
 def force_feedback(policy: Policy, base: WipeEnv) -> tuple[TransformedEnv, Any]:
-    """A scripted controller: at each policy step it moves the reference by the error of the force over the stiffness."""
+    """A scripted controller: each policy step shifts the reference's height by the force error over the stiffness."""
 
     def act(tensordict: TensorDictBase) -> TensorDictBase:
         press, reference = -tensordict["wrench"][:, 2:3], tensordict["reference_position"][:, 2:3]
-        planned = tensordict["via_position"][:, 1, 2:3]
-        wanted = reference + (press - tensordict["wanted_force"]) / STIFFNESS - planned
-        touching = (press > 0.3) & (tensordict["phase"] > 0.25)
-        return tensordict.set("action", _lift(policy.config, wanted * touching))
+        shift = reference + (press - tensordict["wanted_force"]) / STIFFNESS - tensordict["via_position"][:, 1, 2:3]
+        touching = (press > 0.3) & (tensordict["phase"] > 0.25)  # [N], [-]
+        weights = (shift * touching / policy.config.residual_scale[2]).expand(-1, policy.config.num_basis)
+        zeros = torch.zeros_like(weights)  # of x and y: weights are ordered column by column
+        return tensordict.set("action", torch.cat([zeros, zeros, weights], -1))
 
     return policy.recipe.on(base, policy.config, policy.modules), act
 
 
 def random_policy(policy: Policy, base: WipeEnv) -> tuple[TransformedEnv, Any]:
     """Residuals drawn as the untrained policy draws them."""
-
-    def act(tensordict: TensorDictBase) -> TensorDictBase:
-        size = policy.config.num_basis * len(AXES)
-        return tensordict.set("action", policy.config.initial_scale * torch.randn(*tensordict.shape, size))
-
-    return policy.recipe.on(base, policy.config, policy.modules), act
-
-
-def _lift(config: Config, height: Tensor) -> Tensor:
-    """The residual that lifts the whole reference by a height ``(B, 1)`` [m]."""
-    zeros = height.new_zeros(len(height), 2 * config.num_basis)  # of x and y: weights go column by column
-    return torch.cat([zeros, (height / config.residual_scale[2]).expand(-1, config.num_basis)], -1)
+    env = policy.recipe.on(base, policy.config, policy.modules)
+    action = env.full_action_spec["action"].zero()
+    return env, lambda tensordict: tensordict.set("action", policy.config.initial_scale * torch.randn_like(action))
 
 
 WIPE = Task(

@@ -17,8 +17,6 @@ from ppt_rl.envs.models import table_scene
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 
-__all__ = ["WipeEnv"]
-
 #: Ranges of what is drawn for each episode, uniformly; the last two are hidden from the policy.
 RANGES = {
     "begin_x": (0.40, 0.46),  # of the line [m]
@@ -29,7 +27,7 @@ RANGES = {
     "height": (-0.008, 0.008),  # of the board's top above where the robot believes it to be [m]
     "friction": (0.1, 0.5),  # sliding friction of the paddle on the board [-]
 }
-#: The line counts as wiped where the force is this close to the wanted one [N] and the paddle this close to the line [m].
+#: The line is wiped where the force is this close to the wanted one [N] and the paddle this close to the line [m].
 FORCE_BAND, PATH_BAND = 1.5, 0.01
 #: Share of the line that must be wiped for success [-].
 WIPED_SHARE = 0.9
@@ -83,15 +81,10 @@ class WipeEnv(ArmEnv):
         board = root.worldbody.add("body", name="board", pos=[0, 0, BOARD])
         board.add("geom", name="board", type="plane", size=[1, 1, 0.1], contype=4, conaffinity=0, group=4)
         looks: dict[str, Any] = {"type": "box", "conaffinity": 0, "group": 2}
-        board.add(
-            "geom", pos=[0.52, 0, -0.5 * BOARD], size=[0.22, 0.32, 0.5 * BOARD], rgba=[0.93, 0.95, 0.97, 1],
-            contype=0, **looks,
-        )  # fmt: skip
-        # A contact type that nothing answers to: so the line stays in the model of the physics, and is written to.
-        board.add(
-            "geom", name="line", pos=[0.5, 0, 2e-4], size=[0.1, 0.005, 2e-4], rgba=[0.8, 0.16, 0.16, 1], contype=8,
-            **looks,
-        )  # fmt: skip
+        size, white, red = [0.22, 0.32, 0.5 * BOARD], [0.93, 0.95, 0.97, 1], [0.8, 0.16, 0.16, 1]
+        board.add("geom", pos=[0.52, 0, -0.5 * BOARD], size=size, rgba=white, contype=0, **looks)
+        # With a contact type (to which nothing answers) the line stays in the physics' model, where it is written.
+        board.add("geom", name="line", pos=[0.5, 0, 2e-4], size=[0.1, 0.005, 2e-4], rgba=red, contype=8, **looks)
         root.contact.add(
             "pair", geom1="bar", geom2="board", condim=3, friction=[0.3, 0.3, 0, 0, 0], solref=_SOLREF, solimp=_SOLIMP
         )
@@ -106,12 +99,11 @@ class WipeEnv(ArmEnv):
         episode.replace(index, drawn=drawn, front=0.0, wiped=0.0)
         along = torch.cat([episode.direction.cos(), episode.direction.sin()], -1)
         begin = torch.cat([episode.begin_x, episode.begin_y], -1)
-        depth = BOARD + 0.5 * self.tool.bar[2] - episode.wanted_force / STIFFNESS  # of the paddle's centre [m]
+        depth = BOARD + self.tool.half_thickness - episode.wanted_force / STIFFNESS  # of the paddle's centre [m]
         landing, end = begin - _RUN_UP * along, begin + (episode.length + _RUN_UP) * along
         above = torch.full_like(depth, self.start_pose[2])
-        via = [torch.cat(point, -1) for point in ((landing, above), (landing, depth), (end, depth))]
-        via_position = torch.stack(via, 1)
-        episode.replace(index, begin=begin[index], along=along[index], via_position=via_position[index])
+        via = torch.stack([torch.cat(point, -1) for point in ((landing, above), (landing, depth), (end, depth))], 1)
+        episode.replace(index, begin=begin[index], along=along[index], via_position=via[index])
         for row in rows:
             self._write_parameters(self.engine.models[row], int(row))
         pose = torch.tensor(self.start_pose, dtype=torch.float64).repeat(len(rows), 1)
@@ -165,8 +157,8 @@ class WipeEnv(ArmEnv):
         }
 
     def _task_spec(self, make: SpecMaker) -> Composite:
-        real = make.real
+        real, flag = make.real, make.flag
         return make.nest(
             line=real(4), wanted_force=real(1), board=real(2), via_phase=real(3), via_position=real(3, 3),
-            via_cov=real(3, 3, 3), progress=real(1), success=make.flag(), reward_terms=reward_spec(make, _GROUPS),
+            via_cov=real(3, 3, 3), progress=real(1), success=flag(), reward_terms=reward_spec(make, _GROUPS),
         )  # fmt: skip
