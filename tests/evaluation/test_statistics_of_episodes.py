@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from ppt_rl.evaluation.columns import Column
 from ppt_rl.evaluation.statistics import interval, summarise
 
 
@@ -24,7 +25,7 @@ def test_the_interval_of_a_mean_covers_it_in_95_percent_of_samples():
 
 def test_intervals_of_ratios_stay_within_zero_and_one():
     rows = {"overload_ratio": np.array([0.0] * 9 + [1.0]), "max_power": np.array([0.0, 9.0])}
-    summary = summarise(rows, rows)
+    summary = summarise(rows, {"overload_ratio": Column("0-1"), "max_power": Column("W")})
     assert summary["overload_ratio"]["ci95"][0] == 0.0
     assert summary["max_power"]["ci95"][0] < 0.0
     assert summary["max_power"]["mean"] == 4.5
