@@ -53,7 +53,7 @@ class Config(TaskConfig):
     replan_steps: int = 60
     residual_scale: tuple[float, ...] = (0.005, 0.005, 0.01)
     initial_scale: float = 0.25
-    ppo: PPOConfig = field(default_factory=lambda: PPOConfig(total_control_steps=1_600_000, gamma=0.99, target_kl=0.05))
+    ppo: PPOConfig = field(default_factory=lambda: PPOConfig(total_control_steps=1_000_000, gamma=0.99, target_kl=0.05))
 
     @property
     def batch_steps(self) -> int:
