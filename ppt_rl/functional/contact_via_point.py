@@ -62,7 +62,14 @@ class ViaPointConfig:
 
 
 class ContactViaPoints(NamedTuple):
-    """A buffer of M via-points and what it remembers of the wall.
+    r"""A buffer of M via-points, with what is remembered of the wall.
+
+    A via-point that is set while the tool is at ``x`` lies ahead along the wall's tangent ``t``, a little off the wall
+    whose normal is ``n``, and is due after the time ``T``:
+
+    .. math::
+        y = x + v\,T\,t - b\,n, \qquad
+        \Sigma = \sigma_t^2\, t t^\top + \sigma_n^2\, n n^\top + \sigma_z^2\, e_z e_z^\top
 
     Attributes:
         contact: ``(*B, 1)`` bool, whether the tool touches a wall.
@@ -122,17 +129,11 @@ def update_via_points(
     duration: float,
     dt: float,
 ) -> ContactViaPoints:
-    r"""The buffer after one more control step.
+    """The buffer after one more control step.
 
-    In contact, every ``spacing`` a via-point is set ahead along the wall's tangent ``t``, a little off the wall whose
-    normal is ``n``, and due after the time ``T``:
-
-    .. math::
-        y = x + v\,T\,t - b\,n, \qquad
-        \Sigma = \sigma_t^2\, t t^\top + \sigma_n^2\, n n^\top + \sigma_z^2\, e_z e_z^\top
-
-    It replaces the via-point that is due first. Those whose time has come are masked. Where the wall is new, the
-    via-points along the old one are dropped, and the first along the new one is set at once.
+    In contact, a via-point is set every ``spacing`` and replaces the one that is due first. Those whose time has come
+    are masked. If the wall is new, the via-points along the old one are dropped, and one along the new one is set at
+    once.
 
     Args:
         old: the buffer.
@@ -153,9 +154,7 @@ def update_via_points(
     phase = (old.via_phase - dt / duration).clamp_min(0.0)
     mask = old.via_mask & (phase > 0.5 * dt / duration) & ~new  # half a step allows for the rounding of the sum
     sets = new | contact & (wait < 0.5 * dt)  # (*B, 1)
-    # The slot that is due first; an empty one precedes all others.
-    slot = torch.where(mask, phase, -torch.ones_like(phase)).argmin(-1, keepdim=True)
-    chosen = sets & (torch.arange(config.capacity, device=phase.device) == slot)  # (*B, M)
+    chosen = sets & _is_due_first(phase, mask)  # (*B, M)
     position, cov = _via_point(pose, wall, config)
     return ContactViaPoints(
         contact=contact,
@@ -168,6 +167,12 @@ def update_via_points(
         via_position=torch.where(chosen.unsqueeze(-1), position.unsqueeze(-2), old.via_position),
         via_cov=torch.where(chosen[..., None, None], cov.unsqueeze(-3), old.via_cov),
     )
+
+
+def _is_due_first(phase: Tensor, mask: Tensor) -> Tensor:
+    """Marks, ``(*B, M)``, the via-point that is due first; an empty slot precedes all others."""
+    slot = torch.where(mask, phase, -torch.ones_like(phase)).argmin(-1, keepdim=True)
+    return torch.arange(phase.shape[-1], device=phase.device) == slot
 
 
 def _via_point(pose: Tensor, wall: WallContact, config: ViaPointConfig) -> tuple[Tensor, Tensor]:

@@ -35,7 +35,7 @@ class HeadingFrameTransform(TimedTransform, ObserverTransform):
         distance: distance of travel over which the heading adapts [m].
         patience: time in which a tool that is held up turns along the wall [s].
         smoothing: time constant of the low-pass on the wrench [s].
-        touch: how a wall is told from the force; more than ``touch.on`` is a wall. None takes the defaults.
+        touch: how a wall is recognised: by a force above ``touch.on``. None takes the defaults.
         dt: control step [s]; None takes it from the environment, and needs one.
         twist_key: measured twist.
         wrench_key: measured wrench on the world.
