@@ -41,7 +41,8 @@ class ProMPTransform(TimedTransform, ActionTransform):
         task_space: meaning of its D coordinates.
         residual_scale: one number, or D of them: how far a residual of 1 moves a weight [unit of each coordinate].
         replan_steps: control steps from one policy step to the next. None is the paper's "episode-level": one policy
-            step for the whole duration; 1 is its "each timestep".
+            step for the whole duration; 1 is its "each timestep". Each hand-over bends the reference locally, so steps
+            much shorter than the duration divided by K make it lag.
         dt: control step [s]; None takes it from the environment, and needs one.
         action_key: the action: residual outside, references towards the environment.
         pose_key: end-effector pose observation.
