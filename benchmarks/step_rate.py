@@ -133,7 +133,7 @@ def measure(run: Config) -> dict[str, float]:
             times[name].append(_timed(act))
             restart()
             times["raw"].append(_timed(raw))
-            # The machine's speed drifts, so each run is held against MuJoCo alone just before and just after it.
+            # The machine's speed drifts, so each run is compared with MuJoCo alone just before and just after it.
             ratios[name].append(statistics.fmean(times["raw"][-2:]) / times[name][-1])
     if not bool((env.step(actor(env.reset()))["next", "control_steps"] == base.horizon).all()):
         raise RuntimeError("an episode ended early, so the four runs did not do the same work; take another seed.")
