@@ -26,6 +26,10 @@ from ppt_rl.recipes.ppo_ppt_push import RECIPE
 from ppt_rl.tasks.push import fit_push_prior
 from ppt_rl.training import run_script
 
+#: Prepares an episode, and runs it.
+Kind = tuple[Callable[[], Any], Callable[[], Any]]
+Times = dict[str, list[float]]
+
 
 @dataclass(frozen=True)
 class Config:
@@ -68,21 +72,27 @@ def measure(run: Config) -> dict[str, float]:
     before = _peak_memory()
     env = RECIPE.make_env(config, {"promp": promp}, num_envs=run.num_envs, seed=1)
     actor, _ = RECIPE.make_policy(config, env)
-    base, engine = env.base_env, env.base_env.engine
     env.reset()
     memory = (_peak_memory() - before) / run.num_envs
     torques = _reference_torques(env, actor)
-    action = torch.from_numpy(torques).float()
-    collector = Collector(
-        env, actor, frames_per_batch=run.num_envs, total_frames=-1, trust_policy=True,
-        auto_register_policy_transforms=False, exploration_type=ExplorationType.DETERMINISTIC,
-    )  # fmt: skip
-    batches = iter(collector)
+    kinds = _kinds(env, actor, torques)
+    times, ratios = _in_turn(run, env, _mujoco_alone(run, env, torques), kinds)
+    if not bool((env.step(actor(env.reset()))["next", "control_steps"] == env.base_env.horizon).all()):
+        raise RuntimeError("an episode ended early, so the four runs did not do the same work; take another seed.")
+    steps = run.num_envs * env.base_env.horizon
+    result = {f"rate_{name}": steps / statistics.median(values) for name, values in times.items()}
+    result |= {f"ratio_{name}": statistics.median(values) for name, values in ratios.items()}
+    return result | {"memory_per_env_mib": memory, "num_envs": run.num_envs, "threads": run.threads}
 
-    def restart() -> None:
-        env.set_seed(1)
-        env.reset()
 
+def _restart(env: Any) -> Any:
+    env.set_seed(1)
+    return env.reset()
+
+
+def _mujoco_alone(run: Config, env: Any, torques: np.ndarray) -> Callable[[], None]:
+    """The same physics without the library: the torques of an episode, held over the substeps."""
+    base, engine = env.base_env, env.base_env.engine
     pool = rollout.Rollout(nthread=run.threads if run.threads > 1 else 0)
     data = [mujoco.MjData(engine.models[0]) for _ in range(run.threads)]
     held = np.ascontiguousarray(np.repeat(torques[:, :, None], base.substeps, 2))
@@ -98,54 +108,57 @@ def measure(run: Config) -> dict[str, float]:
             )  # fmt: skip
             state = states[:, -1].copy()
 
+    return raw
+
+
+def _kinds(env: Any, actor: Any, torques: np.ndarray) -> dict[str, Kind]:
+    """What prepares and what runs an episode: of the bare environment, of the chain, through the collector."""
+    base, action = env.base_env, torch.from_numpy(torques).float()
+    collector = Collector(
+        env, actor, frames_per_batch=env.numel(), total_frames=-1, trust_policy=True,
+        auto_register_policy_transforms=False, exploration_type=ExplorationType.DETERMINISTIC,
+    )  # fmt: skip
+    batches, start = iter(collector), {}
+
     def environment() -> None:
         tensordict = base.fake_tensordict().exclude("next")
         for step in action:
             base._step(tensordict.set("action", step))
 
-    tensordict = None
-
-    def chain() -> None:
-        env.step(tensordict)
-
     def prepare_chain() -> None:
-        nonlocal tensordict
-        env.set_seed(1)
-        tensordict = actor(env.reset())
+        start["root"] = actor(_restart(env))
 
     def prepare_collector() -> None:
         env.set_seed(1)
         collector.reset()
 
-    kinds: dict[str, tuple[Callable[[], None], Callable[[], Any]]] = {
-        "base": (restart, environment),
-        "chain": (prepare_chain, chain),
+    next(batches)
+    return {
+        "base": (lambda: _restart(env), environment),
+        "chain": (prepare_chain, lambda: env.step(start["root"])),
         "collector": (prepare_collector, lambda: next(batches)),
     }
-    next(batches)
-    times: dict[str, list[float]] = {name: [] for name in ("raw", *kinds)}
-    ratios: dict[str, list[float]] = {name: [] for name in kinds}
-    restart()
+
+
+def _in_turn(run: Config, env: Any, raw: Callable[[], None], kinds: dict[str, Kind]) -> tuple[Times, Times]:
+    """Times [s] of MuJoCo alone and of each kind, and the kinds' ratios to MuJoCo alone."""
+    times: Times = {name: [] for name in ("raw", *kinds)}
+    ratios: Times = {name: [] for name in kinds}
+    _restart(env)
     times["raw"].append(_timed(raw))
     for _ in range(run.repeats):
         for name, (prepare, act) in kinds.items():
             prepare()
             times[name].append(_timed(act))
-            restart()
+            _restart(env)
             times["raw"].append(_timed(raw))
             # The machine's speed drifts, so each run is compared with MuJoCo alone just before and just after it.
             ratios[name].append(statistics.fmean(times["raw"][-2:]) / times[name][-1])
-    if not bool((env.step(actor(env.reset()))["next", "control_steps"] == base.horizon).all()):
-        raise RuntimeError("an episode ended early, so the four runs did not do the same work; take another seed.")
-    steps = run.num_envs * base.horizon
-    rates = {name: steps / statistics.median(values) for name, values in times.items()}
-    result = {f"rate_{name}": rate for name, rate in rates.items()}
-    result |= {f"ratio_{name}": statistics.median(values) for name, values in ratios.items()}
-    return result | {"memory_per_env_mib": memory, "num_envs": run.num_envs, "threads": run.threads}
+    return times, ratios
 
 
 def _reference_torques(env: Any, actor: Any) -> np.ndarray:
-    """Joint torques ``(T, num_envs, 7)`` that the chain sends in these episodes: all four do the same physics."""
+    """Joint torques ``(T, num_envs, n)`` that the chain sends in these episodes: all four do the same physics."""
     sent: list[np.ndarray] = []
     engine = env.base_env.engine
     step = engine.step
