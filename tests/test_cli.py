@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ppt_rl.commands import CalibrateTank, Evaluate, Film, Judged, Policies, Study, Sweep, _pairs
+from ppt_rl.commands import Evaluate, Film, Judged, Policies, _pairs
 from ppt_rl.envs.mujoco_imports import rendering_backend
 from ppt_rl.evaluation import COLUMNS, shipped_recipes
 from ppt_rl.recipes.ppo_ppt_push import Config
@@ -109,8 +109,3 @@ def test_options_are_set_in_the_type_of_their_field():
 
 def test_a_policy_is_loaded_with_its_changed_options():
     assert Judged("ppt_push", settings=("p_max=0.5",), num_threads=1).load().config.p_max == 0.5
-
-
-def test_every_command_has_a_way_to_run():
-    for options in (Evaluate, Film, Study, CalibrateTank, Sweep, Policies):
-        assert callable(options.run)
