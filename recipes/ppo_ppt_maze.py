@@ -14,7 +14,7 @@ from torchrl.envs import Transform, TransformedEnv
 from ppt_rl.envs import MazeEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, ProMP
-from ppt_rl.tasks import make_controller
+from ppt_rl.tasks import make_controller, motor_tank
 from ppt_rl.tasks.maze import (
     MAZE,
     RecedingConfig,
@@ -53,8 +53,9 @@ def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain in the maze: what stands above the macro step runs at control rate."""
     kinematics = Kinematics(base.arm, base.tool_length)
     return [
+        motor_tank(config.p_max, config.e_max),
         JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
-        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(maze_metrics(config)),
         HeadingFrameTransform(),

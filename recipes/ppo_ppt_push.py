@@ -14,7 +14,7 @@ from torchrl.envs import Transform, TransformedEnv
 from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, ProMP, TaskSpace
-from ppt_rl.tasks import episode_metrics, make_controller
+from ppt_rl.tasks import episode_metrics, make_controller, motor_tank
 from ppt_rl.tasks.push import PUSH, PUSH_AXES, EpisodeLevelConfig, fit_push_prior, make_push_policy
 from ppt_rl.transforms import (
     EnergyTankTransform,
@@ -47,8 +47,9 @@ def make_modules(config: Config) -> dict[str, ProMP]:
 def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain: what stands above the macro step runs at control rate."""
     return [
+        motor_tank(config.p_max, config.e_max),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
-        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
         MacroStepTransform(config.chunk, discount=config.ppo.gamma),

@@ -14,7 +14,7 @@ from torchrl.envs import Transform, TransformedEnv
 from ppt_rl.envs import MazeEnv, MazeRewards
 from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics
-from ppt_rl.tasks import make_controller
+from ppt_rl.tasks import make_controller, motor_tank
 from ppt_rl.tasks.maze import MAZE, StepWiseMazeConfig, make_maze_policy, maze_metrics, maze_space
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
@@ -42,8 +42,9 @@ def make_chain(config: Config, base: MazeEnv) -> list[Transform]:
     """ST's chain in the maze: everything runs at control rate."""
     kinematics = Kinematics(base.arm, base.tool_length)
     return [
+        motor_tank(config.p_max, config.e_max),
         JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
-        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(maze_metrics(config)),
         HeadingFrameTransform(),

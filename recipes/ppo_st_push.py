@@ -14,7 +14,7 @@ from torchrl.envs import StepCounter, Transform, TransformedEnv, UnaryTransform
 from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, TaskSpace
-from ppt_rl.tasks import episode_metrics, make_controller
+from ppt_rl.tasks import episode_metrics, make_controller, motor_tank
 from ppt_rl.tasks.push import PUSH, PUSH_AXES, StepWiseConfig, make_push_policy
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
@@ -40,8 +40,9 @@ class Config(StepWiseConfig):
 def make_chain(config: Config, base: PushEnv) -> list[Transform]:
     """ST's chain: everything runs at control rate."""
     return [
+        motor_tank(config.p_max, config.e_max),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
-        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
         CartesianVelocityTransform(

@@ -15,7 +15,7 @@ from wipe_env import STIFFNESS, WipeEnv
 
 from ppt_rl.evaluation import Policy, Recipe, Task
 from ppt_rl.modules import Kinematics, ProMP, TaskSpace
-from ppt_rl.tasks import TaskConfig, env_settings, episode_metrics, make_controller
+from ppt_rl.tasks import TaskConfig, env_settings, episode_metrics, make_controller, motor_tank
 from ppt_rl.tasks.push.prior import push_demonstrations
 from ppt_rl.training import PPOConfig, make_actor_critic
 from ppt_rl.transforms import (
@@ -83,14 +83,15 @@ def fit(config: Config, promp: ProMP) -> None:
 
 def make_chain(config: Config, base: WipeEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain: what stands above the macro step runs at control rate."""
-    space, scale = TaskSpace(AXES, base.start_pose), config.residual_scale
+    space = TaskSpace(AXES, base.start_pose)
     return [
+        motor_tank(config.p_max, config.e_max),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
-        EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
         MacroStepTransform(config.replan_steps, discount=config.ppo.gamma),
-        ProMPTransform(promp, space, residual_scale=scale, replan_steps=config.replan_steps),
+        ProMPTransform(promp, space, residual_scale=config.residual_scale, replan_steps=config.replan_steps),
         ViaPointTransform(promp),
     ]
 
@@ -121,13 +122,8 @@ def random_policy(policy: Policy, base: WipeEnv) -> tuple[TransformedEnv, Any]:
     return env, lambda tensordict: tensordict.set("action", policy.config.initial_scale * torch.randn_like(action))
 
 
-WIPE = Task(
-    "wipe",
-    make_training_env=make_env,
-    make_test_env=make_env,
-    privileged=PRIVILEGED,
-    baselines={"force feedback": force_feedback, "random policy": random_policy},
-)
+BASELINES = {"force feedback": force_feedback, "random policy": random_policy}
+WIPE = Task("wipe", make_training_env=make_env, make_test_env=make_env, privileged=PRIVILEGED, baselines=BASELINES)
 RECIPE = Recipe(
     "ppt_wipe", "PPT", WIPE, Config, make_chain, make_policy, make_modules, fit, has_tank=True, has_reference=True
 )

@@ -8,7 +8,25 @@ from typing import Any
 import torch
 from torch import Tensor
 
-__all__ = ["require_finite", "require_last_dim", "require_positive", "require_ranges"]
+__all__ = ["require_all", "require_finite", "require_last_dim", "require_positive", "require_ranges"]
+
+
+def require_all(condition: Tensor, message: str) -> None:
+    """Raise unless a condition holds everywhere.
+
+    On a GPU the check does not synchronise with the host: it fails later, as a device-side assertion.
+
+    Args:
+        condition: boolean tensor.
+        message: what came, what was expected and what to do.
+
+    Raises:
+        ValueError: if an entry of a CPU tensor is False.
+    """
+    if condition.device.type != "cpu":
+        torch._assert_async(condition.all(), message)
+    elif not bool(condition.all()):
+        raise ValueError(message)
 
 
 def require_finite(name: str, value: Tensor) -> None:

@@ -19,7 +19,7 @@ class EnergyTankStep(NamedTuple):
     Attributes:
         valve: ``(*B, 1)`` factor on the effort in [0, 1] (gamma in the paper).
         energy: ``(*B, 1)`` level of the tank after the step [J].
-        power: ``(*B, 1)`` power of the scaled effort, ``valve * p`` [W].
+        power: ``(*B, 1)`` power of the scaled effort, rounding included: what the tank pays for [W].
     """
 
     valve: Tensor
@@ -56,9 +56,16 @@ def energy_tank(
         \gamma &= \min\Big(1,\ \frac{P_{max}}{\max(\epsilon, p)},\ \frac{E}{\Delta t \max(\epsilon, p)}\Big) \\
         E' &= \mathrm{clip}(E - \gamma\, p\, \Delta t,\ 0,\ E_{max})
 
-    Valve and level are both rounded to the safe side by four units in the last place, so that ``valve * p <= p_max``
-    and ``sum(valve * p * dt) <= E_0`` hold for the stored floating-point numbers, not only on paper. Subnormal numbers
-    have too few digits for that: a valve that small is closed, and a level that small counts as empty.
+    Floating-point numbers are rounded to the safe side. Where large terms of a power cancel, its rounding error may
+    exceed the limit itself, so the law adds a bound on that error:
+
+    .. math:: p = |\mathrm{effort} \cdot \mathrm{flow}|
+        + \tfrac12 (N + 3)\,u\,\textstyle\sum_i |\mathrm{effort}_i\,\mathrm{flow}_i|
+
+    with ``u`` the distance from 1 to the next number of the coarsest input. Hence, for every finite input, the stored
+    numbers satisfy ``|(valve * effort) . flow| <= p_max``, and over an episode ``sum |(valve * effort) . flow| dt <=
+    E_0``, evaluated exactly. A power too large for the format, a valve that is subnormal (it has too few digits) and a
+    level that is subnormal all close the valve.
 
     Args:
         effort: ``(*B, N)`` nominal effort: wrench [N, N m] or joint torque [N m].
@@ -73,24 +80,26 @@ def energy_tank(
         Valve, next level and scaled power.
 
     Raises:
-        ValueError: if the power or the level is not finite.
+        ValueError: if effort, flow or level is not finite; not checked inside ``torch.vmap`` and ``torch.compile``.
 
     Source:
         Paper, eq. (10) (problem definition) and section "Energy-Tank Layer for Safe Execution".
     """
-    p = (effort * flow).sum(-1, keepdim=True).abs()  # [W]
-    require_finite("power of the energy tank (effort . flow)", p)
-    require_finite("tank_energy", energy)
-    ulps = 4 * torch.finfo(p.dtype).eps
-    divisor = p.clamp_min(eps)
-    tiny = torch.finfo(p.dtype).tiny
+    for name, value in (("effort", effort), ("flow", flow), ("tank_energy", energy)):
+        require_finite(f"{name} of the energy tank", value)
+    ulp = max(torch.finfo(value.dtype).eps for value in (effort, flow, energy))
+    terms = effort * flow
+    rounding = 0.5 * (terms.shape[-1] + 3) * ulp * terms.abs().sum(-1, keepdim=True)
+    p = terms.sum(-1, keepdim=True).abs() + rounding  # [W]
+    fits = p.isfinite()
+    p = torch.where(fits, p, 0.0)
+    tiny, ulps = torch.finfo(energy.dtype).tiny, 4 * ulp
     usable = threshold(energy, tiny / ulps, 0.0)  # [J]
-    limit = torch.minimum(usable / dt, torch.full_like(energy, p_max)) / divisor
-    valve = threshold((limit * (1 - ulps)).clamp_max(1.0), tiny, 0.0)
+    limit = (usable / dt).clamp_max(p_max) / p.clamp_min(eps)
+    valve = threshold((limit * (1 - ulps)).clamp_max(1.0) * fits, tiny, 0.0)
     power = valve * p
-    spent = power * dt  # [J]
-    level = energy * (1 - ulps * (p > 0).to(p.dtype)) - spent * (1 + ulps)
-    return EnergyTankStep(valve, level.clamp(0.0, e_max), power)
+    level = energy * (1 - ulps * (p > 0).to(energy.dtype)) - power * dt * (1 + ulps)  # [J]
+    return EnergyTankStep(valve.to(energy.dtype), level.clamp(0.0, e_max).to(energy.dtype), power.to(energy.dtype))
 
 
 #: The laws of the tank by name: the values of ``mode`` that an ``EnergyTankTransform`` accepts.

@@ -10,8 +10,9 @@ from ppt_rl.envs import EngineConfig
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.training import RunConfig
+from ppt_rl.transforms import EnergyTankTransform
 
-__all__ = ["TaskConfig", "env_settings", "episode_metrics", "make_controller"]
+__all__ = ["TaskConfig", "env_settings", "episode_metrics", "make_controller", "motor_tank"]
 
 
 @dataclass(frozen=True)
@@ -87,3 +88,19 @@ def episode_metrics(config: TaskConfig) -> MetricsConfig:
         The constants.
     """
     return MetricsConfig(p_max=config.p_max)
+
+
+def motor_tank(p_max: float, e_max: float) -> EnergyTankTransform:
+    """The tank that stands first in a chain and bounds the torque that the motors execute, posture torque included.
+
+    Its keys are ``motor_tank_energy`` and ``motor_valve``, so that a chain may also have the paper's tank, which bounds
+    the wrench of the task and which the policy observes.
+
+    Args:
+        p_max: power limit [W].
+        e_max: capacity, and level at the start of an episode [J].
+
+    Returns:
+        The transform.
+    """
+    return EnergyTankTransform(p_max, e_max, flow_key="joint_velocity", out_keys=("motor_tank_energy", "motor_valve"))

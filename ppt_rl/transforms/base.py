@@ -1,8 +1,9 @@
-"""What the transforms of this library share: state, actions, observers."""
+"""What the transforms of this library share: state, memory, actions."""
 
 from __future__ import annotations
 
 from typing import Any
+from uuid import uuid4
 
 import torch
 from tensordict import TensorDictBase
@@ -11,30 +12,47 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs import Transform
 
+from ppt_rl.transforms.memory import Memory, memory_of
 from ppt_rl.transforms.specs import set_leaf
 
-__all__ = ["ActionTransform", "Entries", "ObserverTransform", "StatefulTransform"]
+__all__ = ["ActionTransform", "Entries", "StatefulTransform", "merged"]
 
 #: Entries of a tensordict by key.
 Entries = dict[NestedKey, Any]
 
+#: Where a transform's memory and the keys that it keeps are stored on its parent, which belongs to it alone.
+_MEMORY = "_memory_of_transform"
+
 
 class StatefulTransform(Transform):
-    """A transform whose state lives in the tensordict: it is read from the root and written under ``"next"``.
+    """A transform with a state that is read from the root of the tensordict and written under ``"next"``.
 
     The keys of the state are declared in ``full_state_spec`` and in the observation spec. A partial reset changes only
     the environments that reset, and an environment outside the ``_step`` mask keeps its state. State that is computed
     on the way in (``_inv_call``) waits for ``_step`` under a private root key, which never leaves the environment.
 
+    In a simulator, the environment's side also remembers this state and the readings that the transform needs on the
+    way in, as they were at the transform's own place in the chain (:mod:`ppt_rl.transforms.memory`). What it remembers
+    goes before what the root says. So a later transform may normalise an observation in place, and a policy may write
+    what it likes, without changing what a controller or a tank reads.
+
+    A subclass says what happens in ``_after_step`` and ``_after_reset``, where torchrl has ``_step`` and ``_reset``.
+
     Args:
-        in_keys: as for :class:`torchrl.envs.Transform`.
-        out_keys: likewise.
-        in_keys_inv: likewise.
-        out_keys_inv: likewise.
+        **keys: ``in_keys``, ``out_keys``, ``in_keys_inv`` and ``out_keys_inv`` of :class:`torchrl.envs.Transform`.
     """
 
     #: What the error about a missing entry adds, such as who writes that entry.
     _hint = ""
+
+    def __init__(self, **keys: Any) -> None:
+        super().__init__(**keys)
+        self._token = uuid4().hex
+
+    @property
+    def _readings(self) -> tuple[NestedKey, ...]:
+        """Observations that the transform reads on the way in."""
+        return ()
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
         """Specs of the state for an environment of this batch size; ``like`` has its dtype and device."""
@@ -74,7 +92,62 @@ class StatefulTransform(Transform):
             raise KeyError(f"{type(self).__name__} needs {missing}; the tensordict holds {present}.{self._hint}")
         return values
 
+    # -- memory -------------------------------------------------------------------------------------------------------
+
+    def _memory(self) -> tuple[Memory | None, list[NestedKey]]:
+        """What the environment's side remembers for this transform, if it does, and the keys that are kept."""
+        parent = self.parent
+        if parent is None:
+            return None, []
+        known = parent.__dict__.get(_MEMORY)
+        if known is None:
+            kept = [*self._state_specs(parent.batch_size, self._like()), *self._readings]
+            known = parent.__dict__[_MEMORY] = (memory_of(parent, self._token), kept)
+        return known
+
+    def _remember(self, tensordict: TensorDictBase) -> None:
+        """Keep copies of state and readings, which nobody else can change in place."""
+        memory, kept = self._memory()
+        if memory is not None:
+            for key in kept:
+                value = tensordict.get(key, None)
+                memory[key] = None if value is None else value.clone()
+
+    def _remembered(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor | None:
+        """An entry as the environment's side remembers it, if it does."""
+        memory, _ = self._memory()
+        return None if memory is None or tensordict.batch_size != self.parent.batch_size else memory.get(key)
+
+    def _known(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor | None:
+        """An entry as the environment's side remembers it, else as the root has it."""
+        value = self._remembered(tensordict, key)
+        return tensordict.get(key, None) if value is None else value
+
+    def _recall(self, tensordict: TensorDictBase, *keys: NestedKey) -> list[Tensor]:
+        """As :meth:`_require`, for readings and state on the way in."""
+        values = [self._known(tensordict, key) for key in keys]
+        found = [value for value in values if value is not None]
+        return found if len(found) == len(keys) else self._require(tensordict, *keys)
+
     # -- masks --------------------------------------------------------------------------------------------------------
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        next_tensordict = self._after_step(tensordict, next_tensordict)
+        self._remember(next_tensordict)
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        tensordict_reset = self._after_reset(tensordict, tensordict_reset)
+        self._remember(tensordict_reset)
+        return tensordict_reset
+
+    def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        """What the transform adds to what the environment returned after a step."""
+        return next_tensordict
+
+    def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        """What the transform adds to what the environment returned after a reset."""
+        return tensordict_reset
 
     @staticmethod
     def _stepping(tensordict: TensorDictBase) -> Tensor | None:
@@ -103,8 +176,8 @@ class StatefulTransform(Transform):
 
     def _unstash(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, key: NestedKey) -> None:
         """Write a kept value under next; environments that do not step keep the old one."""
-        value = tensordict.get(_private(key))
-        next_tensordict.set(key, _merged(self._stepping(tensordict), value, tensordict, key))
+        rows, value = self._stepping(tensordict), tensordict.get(_private(key))
+        next_tensordict.set(key, value if rows is None else merged(rows, value, self._known(tensordict, key)))
 
     def _zeros(self, specs: dict[NestedKey, TensorSpec], like: TensorDictBase) -> Entries:
         """Zeros of specs, with the leading dimensions that a tensordict of an environment without a lock has."""
@@ -115,7 +188,8 @@ class StatefulTransform(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase, key: NestedKey, initial: Tensor
     ) -> None:
         """Write the initial value where an environment resets; the others keep theirs."""
-        tensordict_reset.set(key, _merged(self._reset_mask(tensordict, key), initial, tensordict, key))
+        rows = self._reset_mask(tensordict, key)
+        tensordict_reset.set(key, initial if rows is None else merged(rows, initial, self._known(tensordict, key)))
 
 
 class ActionTransform(StatefulTransform):
@@ -142,97 +216,19 @@ class ActionTransform(StatefulTransform):
         return self.parent.full_action_spec[self.action_key]
 
 
-class ObserverTransform(StatefulTransform):
-    r"""A transform that adds observations and leaves the action alone.
-
-    Its law is three functions of the readings ``r``, the entries ``in_keys``: the state at the start of an episode, the
-    state after one more step, and further observations made from both.
-
-    .. math::
-        s_0 = \mathrm{begin}(r_0), \qquad s_{t+1} = \mathrm{update}(s_t, r_{t+1}), \qquad
-        o_t = \mathrm{outputs}(s_t, r_t)
-
-    A subclass defines those of ``_begin``, ``_update`` and ``_outputs`` that its law has, and the specs of state and
-    outputs. This class handles masks, missing entries and resets. An observer without state works on stored data too.
-
-    Args:
-        in_keys: the readings; the first one gives dtype and device of all that is written.
-        out_keys: the further observations.
-    """
-
-    #: Keys of the state, those of ``_state_specs``.
-    state_keys: tuple[str, ...] = ()
-
-    def __init__(self, in_keys: list[NestedKey], out_keys: list[NestedKey]) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
-
-    # -- the law ------------------------------------------------------------------------------------------------------
-
-    def _begin(self, *readings: Tensor) -> Entries:
-        """State at the start of an episode."""
-        return {}
-
-    def _update(self, state: Entries, *readings: Tensor) -> Entries:
-        """State after one more step."""
-        return {}
-
-    def _outputs(self, tensordict: TensorDictBase, state: Entries, *readings: Tensor) -> Entries:
-        """Further observations; ``tensordict`` is what they are written to."""
-        return {}
-
-    def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
-        """Specs of the further observations."""
-        return {}
-
-    # -- its execution ------------------------------------------------------------------------------------------------
-
-    def _read(self, tensordict: TensorDictBase) -> list[Tensor]:
-        return self._require(tensordict, *self.in_keys)
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        readings, state = self._read(next_tensordict), {}
-        if self.state_keys:
-            old = {key: tensordict.get(key, None) for key in self.state_keys}
-            if [key for key, value in old.items() if value is None]:
-                old = self._begin(*self._read(tensordict))
-            state, stepping = self._update(old, *readings), self._stepping(tensordict)
-            if stepping is not None:
-                state = {key: _merged(stepping, value, old, key) for key, value in state.items()}
-        return self._write(next_tensordict, state, readings)
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        readings = self._read(tensordict_reset)
-        for key, value in self._begin(*readings).items():
-            self._restart(tensordict, tensordict_reset, key, value)
-        state = {key: tensordict_reset.get(key) for key in self.state_keys}
-        return self._write(tensordict_reset, state, readings)
-
-    def _write(self, tensordict: TensorDictBase, state: Entries, readings: list[Tensor]) -> TensorDictBase:
-        for entries in (state, self._outputs(tensordict, state, *readings)):
-            for key, value in entries.items():
-                tensordict.set(key, value)
-        return tensordict
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Add the observations to stored data where they need no state; else return the tensordict as it is."""
-        return tensordict if self.state_keys else self._write(tensordict, {}, self._read(tensordict))
-
-    def _like(self) -> TensorSpec:
-        return self.parent.full_observation_spec[self.in_keys[0]]
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Declare state and further observations."""
-        observation_spec = super().transform_observation_spec(observation_spec)
-        for key, spec in self._output_specs(self.parent.batch_size, self._like()).items():
-            set_leaf(observation_spec, key, spec)
-        return observation_spec
-
-
 def _private(key: NestedKey) -> str:
     return "_" + "/".join(key) if isinstance(key, tuple) else f"_{key}"
 
 
-def _merged(rows: Tensor | None, new: Tensor, old: TensorDictBase | Entries, key: NestedKey) -> Tensor:
-    """``new`` in the environments of the mask ``rows`` ``(*B,)``, what ``old`` has under ``key`` in the others."""
-    value = None if rows is None else old.get(key, None)
-    return new if rows is None or value is None else torch.where(expand_as_right(rows, new), new, value)
+def merged(rows: Tensor, new: Tensor, old: Tensor | None) -> Tensor:
+    """Take new values in some environments and keep the old ones in the others.
+
+    Args:
+        rows: ``(*B,)`` mask of the environments that take the new ones.
+        new: ``(*B, ...)``.
+        old: ``(*B, ...)``; None where there are none, and all are new.
+
+    Returns:
+        ``(*B, ...)``.
+    """
+    return new if old is None else torch.where(expand_as_right(rows, new), new, old)

@@ -77,18 +77,23 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
         self.register_buffer("max_lead", _bound("max_lead", max_lead, task_space.num_dof))
         self.dt = dt
 
+    @property
+    def _readings(self) -> tuple[NestedKey, ...]:
+        return (self.pose_key,) if self.heading_key is None else (self.pose_key, self.heading_key)
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action, pose = self._require(tensordict, self.action_key, self.pose_key)
+        (action,) = self._require(tensordict, self.action_key)
+        (pose,) = self._recall(tensordict, self.pose_key)
         require_last_dim("action (Cartesian velocity)", action, self.task_space.num_dof)
         require_finite("action (Cartesian velocity)", action)
         measured = self.task_space.project(pose).to(action.dtype)
-        position = tensordict.get("reference_position", None)
+        position = self._known(tensordict, "reference_position")
         if position is None:
             position = measured
         lead, speed = self.max_lead.to(action.dtype), self.max_velocity.to(action.dtype)
         asked = speed * action.clamp(-1.0, 1.0)
         if self.heading_key is not None:
-            asked = from_heading(asked, *self._require(tensordict, self.heading_key))
+            asked = from_heading(asked, *self._recall(tensordict, self.heading_key))
         dt = self.dt
         wanted = position + dt * asked
         following = measured + self.task_space.difference(wanted, measured).clamp(-lead, lead)
@@ -99,11 +104,11 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
         self._stash(tensordict, "reference_position", following)
         return tensordict
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+    def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._unstash(tensordict, next_tensordict, "reference_position")
         return next_tensordict
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         (pose,) = self._require(tensordict_reset, self.pose_key)
         self._restart(tensordict, tensordict_reset, "reference_position", self.task_space.project(pose))
         return tensordict_reset

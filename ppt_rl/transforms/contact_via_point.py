@@ -15,7 +15,8 @@ from ppt_rl.functional.contact_via_point import (
     begin_via_points,
     update_via_points,
 )
-from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.base import Entries
+from ppt_rl.transforms.observer import ObserverTransform
 from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.timed import TimedTransform
 

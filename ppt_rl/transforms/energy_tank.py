@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.utils import NestedKey
+from tensordict.utils import NestedKey, expand_as_right, unravel_key_list
 from torch import Tensor
-from torchrl.data import Bounded, TensorSpec
+from torchrl.data import Bounded, Composite, TensorSpec
 
-from ppt_rl.functional.checks import require_positive
+from ppt_rl.functional.checks import require_all, require_positive
 from ppt_rl.functional.energy_tank import TANK_LAWS
+from ppt_rl.functional.limits import factor_into, scale_into
 from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.chain import transforms_after, transforms_of
+from ppt_rl.transforms.flow import flow_of_size, same_shape
+from ppt_rl.transforms.macro_step import MacroStepTransform
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["EnergyTankTransform"]
 
-#: Velocities that an effort may work on, in the order in which they are looked for.
+#: Velocities that an effort may work on.
 _FLOWS = ("twist", "joint_velocity")
+#: Largest difference between the level in the tensordict and the tank's own, as a share of the capacity [-].
+_SAME_LEVEL = 1e-5
+#: Where the bounds of the action are stored on the parent, which belongs to this transform alone.
+_BOUNDS = "_bounds_of_effort"
 
 
 class EnergyTankTransform(TimedTransform, ActionTransform):
@@ -27,10 +35,27 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         \quad p = |\mathrm{effort} \cdot \mathrm{flow}| \\
         E' &= \mathrm{clip}(E - \gamma\, p\, \Delta t,\ 0,\ E_{max})
 
-    This is the law of ``mode="paper"``; others are registered in :data:`~ppt_rl.functional.energy_tank.TANK_LAWS`. The
-    tank must act at control rate: append it before a :class:`MacroStepTransform`, never after. Its state is two
-    observations, each ``(*B, 1)``: the level ``tank_energy`` [J] and the last factor ``valve`` [-]. The power is
-    nominal: the velocity observed when the action is chosen counts as constant over the control step.
+    This is the law of ``mode="paper"``; others are registered in :data:`~ppt_rl.functional.energy_tank.TANK_LAWS`. Its
+    state is two observations, each ``(*B, 1)``: the level ``tank_energy`` [J] and ``valve`` [-], the factor on the last
+    effort.
+
+    Where the tank stands in the chain decides what it guarantees:
+
+    * **First in the list, right at the environment** (joint torque, joint velocity): it bounds what is executed. It
+      scales the torque into the bounds of the environment's action (:func:`~ppt_rl.functional.limits.scale_into`; the
+      factor is part of ``valve``), and meters and scales the result, posture torque included. At every control step
+      ``|torque . joint_velocity| <= p_max``, and over an episode ``sum |torque . joint_velocity| dt <= e_max``.
+    * **After a** :class:`JointTorqueTransform` (wrench, twist): the paper's tank. It bounds the nominal power of the
+      task's wrench. Posture torque and torque limits come later, so it says nothing about the torque that is executed.
+
+    Both count the velocity observed when the action is chosen as constant over the control step. What the velocity does
+    within the step is beyond them; ``EngineConfig(audit=True)`` measures it. Append a tank before a
+    :class:`MacroStepTransform`, never after.
+
+    In a simulator the tank keeps its own level, which no policy and no later transform reaches. A higher level in the
+    tensordict is refused, so energy does not come back by stepping again from an old tensordict; a lower one counts. An
+    environment that has its whole state in the tensordict (not batch-locked, or with the attribute
+    ``state_in_tensordict = True``) may be stepped again from any of them.
 
     Args:
         p_max: power limit [W].
@@ -39,13 +64,15 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         mode: name of the law; ``"paper"`` charges braking like pushing and never refills.
         effort_key: the action: a wrench [N, N m] or joint torque [N m].
         flow_key: the observed velocity that it works on; None takes ``twist`` or ``joint_velocity``, whichever has the
-            action's size.
+            action's size. Where both have it, as with an arm of six joints, say which.
         eps: smallest power that is divided by [W].
-        out_keys: where the level and the valve are written.
+        out_keys: where the level and the valve are written. A second tank in the same chain needs others.
 
     Raises:
-        ValueError: if a number is out of range, the mode is unknown, or an input is not finite.
-        KeyError: if no flow is found.
+        ValueError: if a number is out of range, the mode is unknown, an input is not finite, the flow is ambiguous or
+            of another shape, the tank stands after a macro step, another tank writes the same keys, a later transform
+            overwrites the level, the bounds of the action exclude zero, or the level is above the tank's own.
+        KeyError: if no flow is found, or no level in an environment.
 
     Source:
         Paper, eq. (10) and section "Energy-Tank Layer for Safe Execution".
@@ -86,56 +113,118 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         self.out_keys = list(out_keys)
         self.energy_key, self.valve_key = out_keys
 
+    @property
+    def _readings(self) -> tuple[NestedKey, ...]:
+        return _FLOWS if self.flow_key is None else (self.flow_key,)
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (effort,) = self._require(tensordict, self.action_key)
         flow = self._flow(tensordict, effort)
-        energy = tensordict.get(self.energy_key, None)
-        if energy is None:
-            energy = torch.full_like(effort[..., :1], self.e_max)
+        energy = self._level(tensordict, effort)
+        effort, factor = self._within_bounds(effort)
         step = self.law(effort, flow, energy, p_max=self.p_max, e_max=self.e_max, dt=self.dt, eps=self.eps)
-        tensordict.set(self.action_key, step.valve * effort)
+        tensordict.set(self.action_key, step.valve.to(effort.dtype) * effort)
         self._stash(tensordict, self.energy_key, step.energy)
-        self._stash(tensordict, self.valve_key, step.valve)
+        self._stash(tensordict, self.valve_key, step.valve if factor is None else step.valve * factor.to(energy.dtype))
         return tensordict
 
     def _flow(self, tensordict: TensorDictBase, effort: Tensor) -> Tensor:
-        size = effort.shape[-1]
         if self.flow_key is not None:
-            (flow,) = self._require(tensordict, self.flow_key)
-            if size == 1 and flow.shape == effort.shape[:-1]:
-                flow = flow.unsqueeze(-1)  # a scalar velocity without a trailing dimension
-            return self._fitting(self.flow_key, flow, effort)
-        for key in _FLOWS:
-            flow = tensordict.get(key, None)
-            if flow is not None and flow.shape[-1] == size:
-                return self._fitting(key, flow, effort)
-        present = sorted(str(k) for k in tensordict.keys(True, True))
-        raise KeyError(
-            f"EnergyTankTransform found no velocity for the effort {self.action_key!r} of size {size}: none of "
-            f"{_FLOWS} has that size. Pass flow_key=, the velocity that the effort works on; there are {present}."
+            (flow,) = self._recall(tensordict, self.flow_key)
+            return same_shape(self.flow_key, flow, self.action_key, effort)
+        flows = {key: self._known(tensordict, key) for key in _FLOWS}
+        key, flow = flow_of_size(flows, self.action_key, effort.shape[-1], tensordict)
+        return same_shape(key, flow, self.action_key, effort)
+
+    # -- level --------------------------------------------------------------------------------------------------------
+
+    def _level(self, tensordict: TensorDictBase, effort: Tensor) -> Tensor:
+        """The level at the beginning of the step ``(*B, 1)`` [J]; without an environment, a missing one is full."""
+        given = tensordict.get(self.energy_key, None)
+        if given is None:
+            if self.parent is None:
+                return torch.full_like(effort[..., :1], self.e_max)
+            raise KeyError(
+                f"EnergyTankTransform finds no level {self.energy_key!r} in the tensordict; expected the one that "
+                "reset or the last step returned. Step from their tensordict, and select this entry too."
+            )
+        own = self._remembered(tensordict, self.energy_key)
+        most, rows = self.e_max if own is None else own, self._stepping(tensordict)
+        lawful = given <= most + _SAME_LEVEL * self.e_max
+        lawful = lawful if rows is None else lawful | ~expand_as_right(rows, lawful)
+        require_all(
+            lawful,
+            f"the level {self.energy_key!r} in the tensordict is above the tank's own, which is at most "
+            f"e_max={self.e_max} J; expected the one that reset or the last step returned. Step from that one.",
         )
+        return given if own is None else torch.minimum(given, own)
 
-    def _fitting(self, key: NestedKey, flow: Tensor, effort: Tensor) -> Tensor:
-        if flow.shape != effort.shape:
-            chunk = (
-                " A chunk of efforts? Append the tank before the MacroStepTransform." if effort.ndim > flow.ndim else ""
-            )
-            raise ValueError(
-                f"the velocity {key!r} has shape {tuple(flow.shape)} and the effort {self.action_key!r} "
-                f"{tuple(effort.shape)}; expected the same shape, so that their product is a power.{chunk}"
-            )
-        return flow
+    # -- bounds -------------------------------------------------------------------------------------------------------
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+    def _within_bounds(self, effort: Tensor) -> tuple[Tensor, Tensor | None]:
+        """The effort scaled into the bounds of the action, and the factor ``(*B, 1)`` that did it."""
+        bounds = self._bounds()
+        if bounds is None:
+            return effort, None
+        low, high = (bound.to(effort.dtype) for bound in bounds)
+        return scale_into(effort, low, high), factor_into(effort, low, high)
+
+    def _bounds(self) -> tuple[Tensor, Tensor] | None:
+        """Bounds of the action towards the environment, if it has any."""
+        parent = self.parent
+        if parent is None:
+            return None
+        if _BOUNDS not in parent.__dict__:
+            spec = self._like()
+            parent.__dict__[_BOUNDS] = (spec.space.low, spec.space.high) if isinstance(spec, Bounded) else None
+        return parent.__dict__[_BOUNDS]
+
+    def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._unstash(tensordict, next_tensordict, self.energy_key)
         self._unstash(tensordict, next_tensordict, self.valve_key)
         return next_tensordict
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)
         for key, level in ((self.energy_key, self.e_max), (self.valve_key, 1.0)):
             self._restart(tensordict, tensordict_reset, key, zeros[key] + level)
         return tensordict_reset
+
+    # -- specs --------------------------------------------------------------------------------------------------------
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        """Refuse a place in the chain where the tank cannot do what it promises, then declare its state."""
+        self._check_place()
+        return super().transform_input_spec(input_spec)
+
+    def _check_place(self) -> None:
+        parent = self.parent
+        if any(isinstance(transform, MacroStepTransform) for transform in transforms_of(parent)):
+            raise ValueError(
+                "EnergyTankTransform stands after a MacroStepTransform, where it would act once for a whole chunk; "
+                "append it before the MacroStepTransform."
+            )
+        taken = [key for key in self.out_keys if key in parent.full_observation_spec.keys(True, True)]
+        if taken:
+            raise ValueError(
+                f"out_keys are {self.out_keys}, but the environment already writes {taken}, as another "
+                "EnergyTankTransform does; expected keys of its own. Pass other out_keys=, such as "
+                "('joint_tank_energy', 'joint_valve')."
+            )
+        later = [
+            type(t).__name__ for t in transforms_after(self) if self.energy_key in unravel_key_list(t.out_keys or [])
+        ]
+        if later:
+            raise ValueError(
+                f"{later} would overwrite the level {self.energy_key!r} of the tank; expected it unchanged. Give them "
+                "out_keys of their own, and let the policy read those."
+            )
+        bounds = self._bounds()
+        if bounds is not None and (bool((bounds[0] > 0).any()) or bool((bounds[1] < 0).any())):
+            raise ValueError(
+                f"the action {self.action_key!r} has bounds that exclude zero; expected low <= 0 <= high, since a "
+                "closed valve sends zero. Shift the action before the tank."
+            )
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
         def column(high: float) -> Bounded:

@@ -17,7 +17,8 @@ from ppt_rl.functional.metrics import (
     summarise_metrics,
     update_metrics,
 )
-from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.base import Entries
+from ppt_rl.transforms.observer import ObserverTransform
 from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.timed import TimedTransform
 

@@ -11,7 +11,8 @@ from torchrl.data import TensorSpec
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.contact import WallTouch, wall_contact
 from ppt_rl.functional.heading import follow_heading, to_heading
-from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.base import Entries
+from ppt_rl.transforms.observer import ObserverTransform
 from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.timed import TimedTransform
 

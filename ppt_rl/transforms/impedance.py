@@ -43,8 +43,13 @@ class ImpedanceTransform(ActionTransform):
         self.pose_key = pose_key
         self.twist_key = twist_key
 
+    @property
+    def _readings(self) -> tuple[NestedKey, ...]:
+        return self.pose_key, self.twist_key
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        reference, pose, twist = self._require(tensordict, self.action_key, self.pose_key, self.twist_key)
+        (reference,) = self._require(tensordict, self.action_key)
+        pose, twist = self._recall(tensordict, self.pose_key, self.twist_key)
         require_last_dim("reference (pose and twist)", reference, 13)
         wrench = self.controller(pose, twist, reference[..., :7], reference[..., 7:])
         return tensordict.set(self.action_key, wrench)

@@ -12,6 +12,7 @@ from torchrl.data import Composite, TensorSpec
 
 from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
+from ppt_rl.functional.limits import scale_change, scale_into
 from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.specs import real, replace_leaf
@@ -21,9 +22,13 @@ __all__ = ["JointTorqueTransform"]
 
 
 class JointTorqueTransform(TimedTransform, ActionTransform):
-    r"""Turns a wrench ``(*B, 6)`` into joint torque ``(*B, n)``, clipped to the limits of the arm's n joints.
+    r"""Turns a wrench ``(*B, 6)`` into joint torque ``(*B, n)`` within the limits of the arm's n joints.
 
-    .. math:: \tau = J^\top \lambda + N\,\big(k_q (q_0 - q) - d_q \dot q\big)
+    .. math:: \tau = s\,\big(J^\top \lambda + N\,(k_q (q_0 - q) - d_q \dot q)\big)
+
+    The limits scale the whole torque (``s`` in [0, 1], :func:`~ppt_rl.functional.limits.scale_into`), so it keeps its
+    direction; so does a limit on its rate. What bounds the power of the result is an :class:`EnergyTankTransform`
+    before this transform in the list.
 
     ``N`` projects into the nullspace, so the posture term moves the arm but not the end effector. (At rest a few
     percent of it leak through, because the projection is damped and its inertia diagonal.) An arm of six joints has no
@@ -78,36 +83,41 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         self.register_buffer("joint_inertia", torch.tensor(arm.joints.inertia), persistent=False)
         self.register_buffer("torque_limit", torch.tensor(arm.joints.torque_limits), persistent=False)
 
+    @property
+    def _readings(self) -> tuple[NestedKey, ...]:
+        return "joint_position", "joint_velocity", "twist"
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        wrench, position = self._require(tensordict, self.action_key, "joint_position")
+        (wrench,) = self._require(tensordict, self.action_key)
+        (position,) = self._recall(tensordict, "joint_position")
         require_last_dim("wrench", wrench, 6)
         jacobian = self.kinematics.jacobian(position).to(wrench.dtype)
         torque = joint_torque(jacobian, wrench)
         if self.has_nullspace and (self.posture_stiffness or self.posture_damping):
-            (velocity,) = self._require(tensordict, "joint_velocity")
-            posture = self.posture_stiffness * (self.posture - position) - self.posture_damping * velocity
-            torque = torque + nullspace_torque(jacobian, posture, self.joint_inertia)
+            (velocity,) = self._recall(tensordict, "joint_velocity")
+            posture = self.posture_stiffness * (self.posture.to(position) - position) - self.posture_damping * velocity
+            torque = torque + nullspace_torque(jacobian, posture.to(torque), self.joint_inertia.to(torque))
         tensordict.set(self.action_key, self._limited(torque, tensordict))
         if self.parent is not None:
-            self._stash(tensordict, "power", power(wrench, self._require(tensordict, "twist")[0]))
+            self._stash(tensordict, "power", power(wrench, *self._recall(tensordict, "twist")))
         return tensordict
 
     def _limited(self, torque: Tensor, tensordict: TensorDictBase) -> Tensor:
-        torque = torque.clamp(-self.torque_limit, self.torque_limit)
+        limit = self.torque_limit.to(torque)
+        torque = scale_into(torque, -limit, limit)
         if self.max_torque_rate is not None:
-            last = tensordict.get("torque", None)
+            last = self._known(tensordict, "torque")
             if last is not None:
-                change = self.max_torque_rate * self.dt  # [N m]
-                torque = last + (torque - last).clamp(-change, change)
+                torque = scale_change(torque, last, self.max_torque_rate * self.dt)
             self._stash(tensordict, "torque", torque)
         return torque
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+    def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in self._state_keys():
             self._unstash(tensordict, next_tensordict, key)
         return next_tensordict
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)
         for key, zero in zeros.items():
             self._restart(tensordict, tensordict_reset, key, zero)

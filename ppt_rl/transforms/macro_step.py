@@ -116,6 +116,7 @@ class MacroStepTransform(ActionTransform):
                 if not bool(memory.alive.any()):
                     done = frozen.get("done").reshape(tensordict.batch_size)
                     if self.interrupt_key is None or bool(done.all()):
+                        current = carried(current, following.copy(), state_keys)
                         break
                     # Some environment has to step: one whose episode is over, else those interrupted just now.
                     memory.alive = ended if alive is None else ended & alive

@@ -10,7 +10,8 @@ from torchrl.data import TensorSpec
 
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.impedance import power
-from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.base import Entries
+from ppt_rl.transforms.observer import ObserverTransform
 from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.timed import TimedTransform
 

@@ -104,6 +104,10 @@ class ProMPTransform(TimedTransform, ActionTransform):
         if replan is not None and not 1 <= replan <= total:
             raise ValueError(f"replan_steps is {replan}; expected 1 to {total}, or None.")
 
+    @property
+    def _readings(self) -> tuple[NestedKey, ...]:
+        return (self.pose_key,)
+
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (action,) = self._require(tensordict, self.action_key)
         require_last_dim("action (ProMP residual)", action, self.promp.num_basis * self.promp.num_dof)
@@ -126,12 +130,12 @@ class ProMPTransform(TimedTransform, ActionTransform):
 
     def _current(self, tensordict: TensorDictBase, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Phase, position and velocity of the reference; without a state, the measured pose at rest at phase zero."""
-        phase = tensordict.get("phase", None)
+        phase = self._known(tensordict, "phase")
         if phase is None:
-            (pose,) = self._require(tensordict, self.pose_key)
+            (pose,) = self._recall(tensordict, self.pose_key)
             position = self.task_space.project(pose)
             return torch.zeros_like(action[..., :1]), position, torch.zeros_like(position)
-        position, velocity = self._require(tensordict, "reference_position", "reference_velocity")
+        position, velocity = self._recall(tensordict, "reference_position", "reference_velocity")
         return phase, position, velocity
 
     def _placed(self, tensordict: TensorDictBase, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
@@ -166,7 +170,7 @@ class ProMPTransform(TimedTransform, ActionTransform):
 
     # -- state --------------------------------------------------------------------------------------------------------
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+    def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._unstash(tensordict, next_tensordict, "weights")
         path = tensordict.get("_path")  # (*B, N + 1, 1 + 2 D)
         left = path[..., -1, :]
@@ -179,7 +183,7 @@ class ProMPTransform(TimedTransform, ActionTransform):
             self._unstash(tensordict, next_tensordict, key)
         return next_tensordict
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+    def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         (pose,) = self._require(tensordict_reset, self.pose_key)
         position = self.task_space.project(pose)
         zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)

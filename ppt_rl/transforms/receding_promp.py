@@ -119,9 +119,15 @@ class RecedingProMPTransform(ProMPTransform):
             raise ValueError(f"max_lead is {max_lead}; expected three numbers of at least 0 m.")
         self.register_buffer("max_lead", lead)
 
+    @property
+    def _readings(self) -> tuple[NestedKey, ...]:
+        keys = self.keys
+        touch = () if self.max_slip is None else (keys.twist, keys.contact, keys.tangent)
+        return keys.pose, keys.heading, *touch
+
     def _current(self, tensordict: TensorDictBase, action: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         origin, heading = self._frame(tensordict)
-        position, velocity = (tensordict.get(key, None) for key in ("reference_position", "reference_velocity"))
+        position, velocity = (self._known(tensordict, key) for key in ("reference_position", "reference_velocity"))
         if position is None or velocity is None:
             position, velocity = origin, torch.zeros_like(origin)
         phase = torch.zeros_like(action[..., :1])
@@ -131,7 +137,7 @@ class RecedingProMPTransform(ProMPTransform):
         """Velocity ``(*B, 3)`` at which the primitive begins, world axes: along what the tool touches."""
         if self.max_slip is None:
             return velocity
-        twist, contact, tangent = self._require(tensordict, self.keys.twist, self.keys.contact, self.keys.tangent)
+        twist, contact, tangent = self._recall(tensordict, self.keys.twist, self.keys.contact, self.keys.tangent)
         normal = torch.stack([-tangent[..., 1], tangent[..., 0]], -1)
         tool, wanted = (
             torch.cat([(v[..., :2] * normal).sum(-1, keepdim=True), v[..., 2:3]], -1) for v in (twist, velocity)
@@ -147,9 +153,9 @@ class RecedingProMPTransform(ProMPTransform):
 
     def _frame(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Origin ``(*B, 3)`` and heading ``(*B, 1)`` of the primitive's frame in world."""
-        pose, heading = self._require(tensordict, self.keys.pose, self.keys.heading)
+        pose, heading = self._recall(tensordict, self.keys.pose, self.keys.heading)
         tool = self.task_space.project(pose)
-        reference = tensordict.get("reference_position", None)
+        reference = self._known(tensordict, "reference_position")
         if reference is None:
             return tool, heading
         lead = self.max_lead.to(tool.dtype)

@@ -11,7 +11,8 @@ from torchrl.data import TensorSpec
 from ppt_rl.functional.heading import to_heading
 from ppt_rl.functional.promp import unvec
 from ppt_rl.modules.promp import ProMP
-from ppt_rl.transforms.base import Entries, ObserverTransform
+from ppt_rl.transforms.base import Entries
+from ppt_rl.transforms.observer import ObserverTransform
 from ppt_rl.transforms.specs import real
 
 __all__ = ["ViaPointTransform"]

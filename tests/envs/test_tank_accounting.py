@@ -167,9 +167,8 @@ class FreeBrakesTank(EnergyTankTransform):
 class RefilledTank(EnergyTankTransform):
     """It gains a millijoule from nowhere in every control step."""
 
-    def _inv_call(self, tensordict):
-        tensordict["tank_energy"] = (tensordict["tank_energy"] + 0.001).clamp_max(self.e_max)
-        return super()._inv_call(tensordict)
+    def _level(self, tensordict, effort):
+        return (super()._level(tensordict, effort) + 0.001).clamp_max(self.e_max)
 
 
 # A flow of the wrong sign is not among them: the tank takes the absolute power, so such a tank is right. Nor is a flow

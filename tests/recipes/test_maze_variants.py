@@ -27,7 +27,11 @@ from ppt_rl.recipes import ppo_ppt_maze
 from ppt_rl.tasks.maze import MAZE, fit_maze_prior, make_test_env, make_training_env
 from ppt_rl.training import CheckpointMismatch
 
-CONTROL = ["JointTorqueTransform", "EnergyTankTransform", "ImpedanceTransform", "EpisodeMetricsTransform"]
+#: The tank at the motors stands first, the paper's after the wrench.
+CONTROL = [
+    "EnergyTankTransform", "JointTorqueTransform", "EnergyTankTransform", "ImpedanceTransform",
+    "EpisodeMetricsTransform",
+]  # fmt: skip
 CHAINS = {
     "ppt_maze": [
         *CONTROL, "HeadingFrameTransform", "ContactViaPointTransform", "MacroStepTransform", "RecedingProMPTransform",

@@ -32,17 +32,20 @@ from ppt_rl.evaluation.drawing import draw_policy
 from ppt_rl.evaluation.policy import restored_config
 from ppt_rl.training import CheckpointMismatch, PPOConfig, as_json, checkpoint_info, find_checkpoint
 from ppt_rl.training.logs import read_scalar
+from ppt_rl.transforms import EnergyTankTransform
 
 STEPS = 20  # control steps of an episode
-PUSH = ["JointTorqueTransform", "EnergyTankTransform", "ImpedanceTransform", "EpisodeMetricsTransform"]
+PUSH = ["JointTorqueTransform", "ImpedanceTransform", "EpisodeMetricsTransform"]
+#: With the tank at the motors and the paper's, on the wrench.
+TANKS = ["EnergyTankTransform", PUSH[0], "EnergyTankTransform", *PUSH[1:]]
 PROMP = ["MacroStepTransform", "ProMPTransform", "ViaPointTransform"]
 STEPWISE = ["CartesianVelocityTransform", "StepCounter", "UnaryTransform"]
 #: Transforms of each variant in order; the tank acts at control rate, so it stands before the macro step.
 CHAINS = {
-    "pp_push": [PUSH[0], *PUSH[2:], *PROMP],
-    "ppt_push": [*PUSH, *PROMP],
-    "s_push": [PUSH[0], *PUSH[2:], *STEPWISE],
-    "st_push": [*PUSH, *STEPWISE],
+    "pp_push": [*PUSH, *PROMP],
+    "ppt_push": [*TANKS, *PROMP],
+    "s_push": [*PUSH, *STEPWISE],
+    "st_push": [*TANKS, *STEPWISE],
 }
 KNOWN = ["box_start", "goal", "box_size", "pose", "twist", "wrench", "phase"]
 #: What each policy reads besides.
@@ -155,8 +158,9 @@ def test_the_tank_and_the_metrics_have_the_limits_of_the_options(untrained, vari
     parts = {type(part).__name__: part for part in untrained[variant].env.transform}
     assert parts["EpisodeMetricsTransform"].config.p_max == 1.25
     if variant.endswith("t_push"):
-        tank = parts["EnergyTankTransform"]
-        assert (tank.p_max, tank.e_max, tank.dt) == (1.25, 2.5, 0.01)
+        tanks = [part for part in untrained[variant].env.transform if isinstance(part, EnergyTankTransform)]
+        assert [(tank.p_max, tank.e_max, tank.dt) for tank in tanks] == [(1.25, 2.5, 0.01)] * 2
+        assert [tank.flow_key for tank in tanks] == ["joint_velocity", "twist"]
 
 
 @variants

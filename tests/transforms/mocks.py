@@ -34,6 +34,8 @@ class MockArmEnv(EnvBase):
     """
 
     control_dt: float | None = 0.01
+    #: The next observation follows from the tensordict alone.
+    state_in_tensordict = True
 
     def __init__(
         self,
@@ -153,6 +155,7 @@ class NestedEffortEnv(EnvBase):
     """
 
     control_dt = 0.01
+    state_in_tensordict = True
 
     def __init__(self, batch_size: Sequence[int] = (), agents: Sequence[int] = ()) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size(batch_size))
@@ -191,6 +194,8 @@ class ScriptedEnv(EnvBase):
         action_size: of one row.
         script: observations ``(B, T + 1, ...)`` after 0 to T steps, all of one precision.
     """
+
+    state_in_tensordict = True
 
     def __init__(self, action_size: int, **script: Tensor) -> None:
         first = next(iter(script.values()))
@@ -239,6 +244,8 @@ class TowedEnv(EnvBase):
     """
 
     control_dt = 0.01
+
+    state_in_tensordict = True
 
     def __init__(self, pose: Tensor, heading: Tensor, *, steps: int, share: float) -> None:
         super().__init__(device=torch.device("cpu"), batch_size=pose.shape[:1])

@@ -9,7 +9,7 @@ from torchrl.data import Unbounded
 from torchrl.envs import SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from ppt_rl.transforms.base import ObserverTransform
+from ppt_rl.transforms.observer import ObserverTransform
 from tests.transforms.mocks import MockArmEnv, actions_for, play
 
 

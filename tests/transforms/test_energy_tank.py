@@ -216,7 +216,7 @@ def test_before_the_macro_step_the_tank_limits_every_control_step_of_a_chunk():
 def test_after_the_macro_step_the_tank_refuses_to_act_and_says_where_it_belongs(length):
     env = TransformedEnv(MockArmEnv((2,)), MacroStepTransform(length))
     env.append_transform(EnergyTankTransform())
-    with pytest.raises(ValueError, match="Append the tank before the MacroStepTransform"):
+    with pytest.raises(ValueError, match=r"stands after a MacroStepTransform.*append it before"):
         env.rollout(1)
 
 

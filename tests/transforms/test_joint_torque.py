@@ -47,8 +47,12 @@ def test_on_six_joints_there_is_no_nullspace_so_the_posture_is_left_out(posture)
 
 def test_the_limits_are_those_of_the_arm():
     td = TensorDict({"joint_position": torch.tensor([UR5E.home]), "action": torch.full((1, 6), 1e6)}, [1])
-    torque = JointTorqueTransform(Kinematics(UR5E, 0.1)).inv(td)["action"]
-    torch.testing.assert_close(torque.abs(), torch.tensor([UR5E.joints.torque_limits]))
+    kinematics = Kinematics(UR5E, 0.1)
+    torque = JointTorqueTransform(kinematics).inv(td)["action"]
+    limits = torch.tensor([UR5E.joints.torque_limits])
+    assert float((torque.abs() / limits).max()) == pytest.approx(1.0)
+    wanted = (td["action"].unsqueeze(-2) @ kinematics.jacobian(td["joint_position"])).squeeze(-2)
+    torch.testing.assert_close(torque / torque.norm(), wanted / wanted.norm())
 
 
 def test_the_posture_term_moves_the_joints_but_hardly_accelerates_the_end_effector():

@@ -12,7 +12,7 @@ from ppt_rl.envs.maze import MazeEnv
 from ppt_rl.functional.heading import to_heading
 from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.modules.promp import ProMP
-from ppt_rl.tasks.config import make_controller
+from ppt_rl.tasks.config import make_controller, motor_tank
 from ppt_rl.tasks.maze.config import MazeConfig, maze_metrics, maze_space
 from ppt_rl.tasks.maze.environments import make_training_env
 from ppt_rl.tasks.maze.follower import WallFollower
@@ -54,8 +54,9 @@ def make_follower_env(config: MazeConfig, base: MazeEnv) -> TransformedEnv:
     return TransformedEnv(
         base,
         Compose(
+            motor_tank(config.p_max, config.e_max),
             JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
-            EnergyTankTransform(p_max=config.p_max, e_max=config.e_max),
+            EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
             ImpedanceTransform(make_controller(config)),
             EpisodeMetricsTransform(maze_metrics(config)),
             HeadingFrameTransform(),

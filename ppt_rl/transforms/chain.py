@@ -1,0 +1,79 @@
+"""What a transform can learn of the environment that it is in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
+from torchrl.envs.batched_envs import BatchedEnvBase
+
+__all__ = ["attribute", "base_of", "transforms_after", "transforms_of"]
+
+
+def base_of(env: EnvBase) -> EnvBase:
+    """The base environment under any number of ``TransformedEnv``.
+
+    Args:
+        env: any environment.
+
+    Returns:
+        The first environment inside that is no ``TransformedEnv``.
+    """
+    while isinstance(env, TransformedEnv):
+        env = env.base_env
+    return env
+
+
+def attribute(env: EnvBase, name: str) -> Any:
+    """An attribute of an environment, None where it has none.
+
+    ``SerialEnv`` and ``ParallelEnv`` are asked for their own attributes only, because a worker of the latter dies when
+    it is asked for one that it lacks.
+
+    Args:
+        env: a base environment.
+        name: of the attribute.
+
+    Returns:
+        Its value.
+    """
+    return env.__dict__.get(name) if isinstance(env, BatchedEnvBase) else getattr(env, name, None)
+
+
+def transforms_of(env: EnvBase | None) -> Iterator[Transform]:
+    """The transforms of an environment, from the base environment outwards.
+
+    Args:
+        env: any environment; None has none.
+
+    Yields:
+        Each transform, those in a ``Compose`` one by one.
+    """
+    if isinstance(env, TransformedEnv):
+        yield from transforms_of(env.base_env)
+        yield from _flat(env.transform)
+
+
+def transforms_after(transform: Transform) -> Iterator[Transform]:
+    """The transforms that come after one in its environment, outwards.
+
+    Args:
+        transform: one that is in an environment, or in none.
+
+    Yields:
+        Each of them.
+    """
+    found = False
+    for other in transforms_of(transform.container):
+        if found:
+            yield other
+        found = found or other is transform
+
+
+def _flat(transform: Transform | None) -> Iterator[Transform]:
+    if isinstance(transform, Compose):
+        for part in transform.transforms:
+            yield from _flat(part)
+    elif transform is not None:
+        yield transform
