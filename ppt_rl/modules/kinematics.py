@@ -53,6 +53,15 @@ def _chain(arm: Arm, offsets: Tensor) -> pk.SerialChain:
     return pk.SerialChain(pk.Chain(base, dtype=f64), "tool", dtype=f64)
 
 
+def _inertials(arm: Arm) -> tuple[Tensor, Tensor, Tensor]:
+    """Mass ``(n,)``, centre of mass ``(n, 3)`` and inertia ``(n, 3, 3)`` of the links, each in its joint's frame."""
+    f64 = torch.float64
+    xx, yy, zz, xy, xz, yz = torch.tensor([link.inertia for link in arm.links], dtype=f64).unbind(-1)
+    inertia = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).unflatten(-1, (3, 3))
+    mass = torch.tensor([link.mass for link in arm.links], dtype=f64)
+    return mass, torch.tensor([link.com for link in arm.links], dtype=f64), inertia
+
+
 class Kinematics(nn.Module):
     """Pose and Jacobian of an arm's end-effector point as differentiable functions of joint position.
 
@@ -117,6 +126,37 @@ class Kinematics(nn.Module):
             ValueError: if the last dimension is not n.
         """
         return self._jacobian_and_matrix(joint_position)[0]
+
+    def inertia(self, joint_position: Tensor) -> Tensor:
+        r"""Compute the joint-space inertia matrix of the arm without its tool.
+
+        .. math:: M = \mathrm{diag}(a) + \sum_i \big(m_i J_{v,i}^\top J_{v,i} + J_{\omega,i}^\top I_i J_{\omega,i}\big)
+
+        where ``J_{v,i}`` and ``J_{\omega,i}`` belong to the centre of mass of link i, and ``a`` is the armature.
+
+        Args:
+            joint_position: ``(*B, n)`` [rad].
+
+        Returns:
+            ``(*B, n, n)`` [kg m^2].
+
+        Raises:
+            ValueError: if the last dimension is not n.
+        """
+        count = self.arm.num_joints
+        require_last_dim("joint_position", joint_position, count)
+        angle = joint_position.reshape(-1, count).to(self._anchor.dtype)
+        links = self._frames(angle)[1:-1].transpose(0, 1)  # (B, n, 4, 4)
+        turn, origin, axis = links[..., :3, :3], links[..., :3, 3], links[..., :3, 2]
+        mass, com, inertia = (value.to(angle) for value in _inertials(self.arm))
+        centre = origin + (turn @ com.unsqueeze(-1)).squeeze(-1)
+        moved = torch.ones(count, count, dtype=angle.dtype, device=angle.device).tril().unsqueeze(-1)  # link, joint
+        angular = axis.unsqueeze(1) * moved  # (B, link, joint, 3)
+        linear = torch.linalg.cross(angular, centre.unsqueeze(2) - origin.unsqueeze(1))
+        world = turn @ inertia @ turn.mT
+        total = mass[:, None, None] * linear @ linear.mT + angular @ world @ angular.mT
+        matrix = total.sum(1) + torch.tensor(self.arm.joints.armature, dtype=torch.float64).to(angle).diag()
+        return matrix.reshape(*joint_position.shape[:-1], count, count)
 
     def inverse(self, pose: Tensor, guess: Tensor, iterations: int = 60, damping: float = 0.1) -> Tensor:
         """Find a joint position that reaches ``pose``, by damped Gauss-Newton steps from ``guess``.

@@ -62,8 +62,17 @@ class StatefulTransform(Transform):
         """A spec with the dtype and device of the state."""
         return next(iter(self.parent.full_action_spec.values(True, True)))
 
+    def _check_place(self) -> None:
+        """Refuse a place in the chain where the transform cannot do what it promises, before the first reset."""
+
+    def transform_output_spec(self, output_spec: Composite) -> Composite:
+        """Check the place in the chain, then transform the spec."""
+        self._check_place()
+        return super().transform_output_spec(output_spec)
+
     def transform_input_spec(self, input_spec: Composite) -> Composite:
         """Declare the state in ``full_state_spec``."""
+        self._check_place()
         state = input_spec["full_state_spec"]
         if state is None:
             state = Composite(shape=input_spec.shape, device=input_spec.device)

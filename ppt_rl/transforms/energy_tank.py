@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey, expand_as_right, unravel_key_list
 from torch import Tensor
-from torchrl.data import Bounded, Composite, TensorSpec
+from torchrl.data import Bounded, TensorSpec
 
 from ppt_rl.functional.checks import require_all, require_positive
 from ppt_rl.functional.energy_tank import TANK_LAWS
@@ -191,11 +191,6 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         return tensordict_reset
 
     # -- specs --------------------------------------------------------------------------------------------------------
-
-    def transform_input_spec(self, input_spec: Composite) -> Composite:
-        """Refuse a place in the chain where the tank cannot do what it promises, then declare its state."""
-        self._check_place()
-        return super().transform_input_spec(input_spec)
 
     def _check_place(self) -> None:
         parent = self.parent

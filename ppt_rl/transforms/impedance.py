@@ -10,12 +10,16 @@ from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.specs import real, replace_leaf
+from ppt_rl.transforms.stability import warn_if_unstable
 
 __all__ = ["ImpedanceTransform"]
 
 
 class ImpedanceTransform(ActionTransform):
     """Turns a reference, ``(*B, 13)`` pose and twist, into the nominal wrench ``(*B, 6)`` that tracks it.
+
+    It warns once where the controller's gains are unstable at the rate of the environment, because they are too high
+    for the inertia of the arm (:func:`~ppt_rl.functional.stability.spectral_radius`).
 
     Args:
         controller: the law and its gains.
@@ -53,6 +57,9 @@ class ImpedanceTransform(ActionTransform):
         require_last_dim("reference (pose and twist)", reference, 13)
         wrench = self.controller(pose, twist, reference[..., :7], reference[..., 7:])
         return tensordict.set(self.action_key, wrench)
+
+    def _check_place(self) -> None:
+        warn_if_unstable(self.controller, self.parent)
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
         """Outside, the action is a reference: 7 numbers of pose and 6 of twist."""

@@ -18,7 +18,7 @@ def batch(*shape: int) -> list[torch.Tensor]:
 
 
 def test_the_module_applies_the_impedance_law_with_its_gains():
-    controller = CartesianImpedanceController([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], damping=7.0).double()
+    controller = CartesianImpedanceController([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], damping=[7.0] * 6).double()
     inputs = batch(5)
     stiffness = torch.arange(1.0, 7.0, dtype=F64)
     expected = cartesian_impedance(*inputs, stiffness, torch.full((6,), 7.0, dtype=F64))
@@ -55,7 +55,7 @@ def test_a_stiffness_passed_to_the_call_has_its_own_damping():
 
 def test_given_damping_does_not_depend_on_the_stiffness():
     low, high = (CartesianImpedanceController(k, damping=30.0).damping for k in (10.0, 1000.0))
-    assert_close(low, torch.full((6,), 30.0))
+    assert_close(low, torch.tensor([30.0] * 3 + [2.25] * 3))
     assert_close(high, low)
 
 
@@ -133,3 +133,10 @@ def test_the_error_names_an_input_of_the_wrong_size(name):
     inputs[index] = inputs[index][:, :-1]
     with pytest.raises(ValueError, match=f"^{name} has shape"):
         CartesianImpedanceController()(*inputs)
+
+
+def test_one_number_is_that_of_translation_and_rotation_gets_its_documented_share():
+    controller = CartesianImpedanceController(400.0, damping=40.0)
+    assert_close(controller.stiffness, torch.tensor([400.0] * 3 + [30.0] * 3))
+    assert_close(controller.damping, torch.tensor([40.0] * 3 + [3.0] * 3))
+    assert_close(CartesianImpedanceController(400.0).damping, CartesianImpedanceController().damping)

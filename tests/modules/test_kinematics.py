@@ -173,3 +173,21 @@ def test_inverse_kinematics_does_not_take_the_opposite_orientation_for_the_wante
 def test_a_joint_position_that_has_not_seven_numbers_is_refused(kinematics, shape):
     with pytest.raises(ValueError, match=r"joint_position has shape .*; expected \(\*batch, 7\)"):
         kinematics(torch.zeros(shape))
+
+
+@pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
+def test_the_inertia_matrix_agrees_with_mujoco(arm):
+    root = table_scene(arm)
+    root.find("body", "tool").remove()
+    for sensor in list(root.sensor.all_children()):
+        sensor.remove()
+    physics = mjcf.Physics.from_mjcf_model(root)
+    model, data = physics.model.ptr, physics.data.ptr
+    positions = random_joint_positions(20, arm=arm)
+    own = Kinematics(arm, PADDLE.length, dtype=F64).inertia(positions.reshape(4, 5, -1)).flatten(0, 1)
+    true = torch.zeros_like(own)
+    for q, matrix in zip(positions.numpy(), true, strict=True):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, matrix.numpy())
+    assert_close(own, true, rtol=1e-9, atol=1e-9)
