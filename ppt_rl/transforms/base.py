@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs import Transform
 
+from ppt_rl.transforms.chain import transforms_of
 from ppt_rl.transforms.memory import Memory, memory_of
 from ppt_rl.transforms.specs import set_leaf
 
@@ -42,6 +43,10 @@ class StatefulTransform(Transform):
         **keys: ``in_keys``, ``out_keys``, ``in_keys_inv`` and ``out_keys_inv`` of :class:`torchrl.envs.Transform`.
     """
 
+    #: Whether the transform makes one step of many control steps.
+    macro_step = False
+    #: Whether the transform must act at every control step.
+    _at_control_rate = False
     #: What the error about a missing entry adds, such as who writes that entry.
     _hint = ""
 
@@ -64,6 +69,13 @@ class StatefulTransform(Transform):
 
     def _check_place(self) -> None:
         """Refuse a place in the chain where the transform cannot do what it promises, before the first reset."""
+        if self._at_control_rate and any(
+            getattr(transform, "macro_step", False) for transform in transforms_of(self.parent)
+        ):
+            raise ValueError(
+                f"{type(self).__name__} stands after a MacroStepTransform, where it would act once for a whole chunk; "
+                "append it before the MacroStepTransform."
+            )
 
     def transform_output_spec(self, output_spec: Composite) -> Composite:
         """Check the place in the chain, then transform the spec."""

@@ -56,6 +56,8 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
         tensor([0.3000, 0.3000])
     """
 
+    _at_control_rate = True
+
     def __init__(
         self,
         task_space: TaskSpace,

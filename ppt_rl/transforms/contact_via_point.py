@@ -55,6 +55,7 @@ class ContactViaPointTransform(TimedTransform, ObserverTransform):
         Paper, section "Trajectory Posterior via Via-Point Conditioning"; how contact makes via-points is ours.
     """
 
+    _at_control_rate = True
     state_keys = ContactViaPoints._fields
     _hint = " HeadingFrameTransform writes heading and smooth_wrench."
 

@@ -12,9 +12,8 @@ from ppt_rl.functional.checks import require_all, require_positive
 from ppt_rl.functional.energy_tank import TANK_LAWS
 from ppt_rl.functional.limits import factor_into, scale_into
 from ppt_rl.transforms.base import ActionTransform
-from ppt_rl.transforms.chain import transforms_after, transforms_of
+from ppt_rl.transforms.chain import transforms_after
 from ppt_rl.transforms.flow import flow_of_size, same_shape
-from ppt_rl.transforms.macro_step import MacroStepTransform
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["EnergyTankTransform"]
@@ -84,6 +83,8 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         >>> bool((env.rollout(5)["next", "valve"] <= 1).all())
         True
     """
+
+    _at_control_rate = True
 
     def __init__(
         self,
@@ -193,13 +194,8 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
     # -- specs --------------------------------------------------------------------------------------------------------
 
     def _check_place(self) -> None:
-        parent = self.parent
-        if any(isinstance(transform, MacroStepTransform) for transform in transforms_of(parent)):
-            raise ValueError(
-                "EnergyTankTransform stands after a MacroStepTransform, where it would act once for a whole chunk; "
-                "append it before the MacroStepTransform."
-            )
-        taken = [key for key in self.out_keys if key in parent.full_observation_spec.keys(True, True)]
+        super()._check_place()
+        taken = [key for key in self.out_keys if key in self.parent.full_observation_spec.keys(True, True)]
         if taken:
             raise ValueError(
                 f"out_keys are {self.out_keys}, but the environment already writes {taken}, as another "

@@ -7,6 +7,7 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import TensorSpec
+from torchrl.envs import RandomTruncationTransform, StepCounter, TerminateTransform, Transform
 
 from ppt_rl.functional.metrics import (
     MEMORY_SIZE,
@@ -18,7 +19,10 @@ from ppt_rl.functional.metrics import (
     update_metrics,
 )
 from ppt_rl.transforms.base import Entries
+from ppt_rl.transforms.chain import transforms_after
+from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from ppt_rl.transforms.observer import ObserverTransform
+from ppt_rl.transforms.power_limit import PowerLimitTransform
 from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.timed import TimedTransform
 
@@ -32,8 +36,10 @@ class EpisodeMetricsTransform(TimedTransform, ObserverTransform):
 
     ``max_power`` [W] and ``work`` [J] are those of the commanded power, or of the measured one where no ``power`` is
     observed. The others are ``max_power_measured`` [W], ``jerk_rms`` [m/s^3], ``wrench_p95`` [N], ``overload_ratio``
-    and ``contact_continuity`` [0-1]; docs/metrics.md defines them. All are zero until ``done``. Append this transform
-    before a :class:`MacroStepTransform`.
+    and ``contact_continuity`` [0-1]; docs/metrics.md defines them. All are zero until ``done``.
+
+    Append this transform after whatever writes ``power`` or ends episodes, such as a :class:`JointTorqueTransform` or
+    torchrl's ``StepCounter(max_steps)``, and before a :class:`MacroStepTransform`; another order is refused.
 
     Args:
         config: thresholds and filter; None takes the defaults.
@@ -44,9 +50,11 @@ class EpisodeMetricsTransform(TimedTransform, ObserverTransform):
 
     Raises:
         KeyError: if twist or wrench are not observed.
-        ValueError: if the filter's cut-off is not below half the control rate.
+        ValueError: if the filter's cut-off is not below half the control rate, or a transform after this one writes
+            ``power`` or ends episodes, so that this one would miss it.
     """
 
+    _at_control_rate = True
     state_keys = (_MEMORY,)
 
     def __init__(
@@ -62,6 +70,15 @@ class EpisodeMetricsTransform(TimedTransform, ObserverTransform):
         self.power_key = power_key
         self.config = MetricsConfig() if config is None else config
         self.dt = dt
+
+    def _check_place(self) -> None:
+        super()._check_place()
+        missed = [type(other).__name__ for other in transforms_after(self) if _is_missed(other)]
+        if missed:
+            raise ValueError(
+                f"EpisodeMetricsTransform stands before {missed}, so it would miss the power that they write or the "
+                "episodes that they end; append it after them."
+            )
 
     def _accept_dt(self, dt: float) -> None:
         low_pass(self.config.cutoff, dt)
@@ -97,3 +114,12 @@ class EpisodeMetricsTransform(TimedTransform, ObserverTransform):
 
     def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
         return {key: real(like, *batch, 1) for key in self.out_keys}
+
+
+def _is_missed(other: Transform) -> bool:
+    """Whether a transform writes what the metrics must see: the commanded power, or the end of an episode."""
+    if isinstance(other, StepCounter):
+        return other.max_steps is not None
+    if isinstance(other, PowerLimitTransform):
+        return other.terminate
+    return isinstance(other, JointTorqueTransform | RandomTruncationTransform | TerminateTransform)

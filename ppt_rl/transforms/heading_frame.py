@@ -50,6 +50,7 @@ class HeadingFrameTransform(TimedTransform, ObserverTransform):
         Ours; the paper gives observations in world axes.
     """
 
+    _at_control_rate = True
     state_keys = ("heading", "smooth_wrench")
 
     def __init__(

@@ -51,6 +51,8 @@ class MacroStepTransform(ActionTransform):
         RuntimeError: if used without an environment.
     """
 
+    macro_step = True
+
     def __init__(
         self,
         num_steps: int | None = None,

@@ -53,6 +53,8 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
         2.0
     """
 
+    _at_control_rate = True
+
     def __init__(
         self,
         p_max: float = 2.0,

@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs import Compose, StepCounter, TerminateTransform, TransformedEnv
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.functional.metrics import METRICS, MetricsConfig, begin_metrics, summarise_metrics, update_metrics
 from ppt_rl.modules import Kinematics
-from ppt_rl.transforms import EpisodeMetricsTransform, JointTorqueTransform
+from ppt_rl.transforms import EpisodeMetricsTransform, JointTorqueTransform, MacroStepTransform, PowerLimitTransform
 from tests.transforms.cases import push_env
 from tests.transforms.mocks import MockArmEnv, actions_for, play
 
@@ -96,3 +96,40 @@ def test_a_missing_observation_is_named_with_what_there_is(key):
     td = MockArmEnv((2,)).reset().exclude(key)
     with pytest.raises(KeyError, match=rf"EpisodeMetricsTransform needs .*{key}.*holds .*count"):
         transform._step(td, td)
+
+
+@pytest.mark.parametrize(
+    "later",
+    [
+        lambda: JointTorqueTransform(Kinematics(PANDA, 0.1)),
+        lambda: StepCounter(max_steps=5),
+        lambda: PowerLimitTransform(1.0, terminate=True),
+        lambda: TerminateTransform(lambda td: td["done"]),
+    ],
+    ids=["power", "step counter", "power limit", "terminate"],
+)
+def test_a_transform_whose_power_or_end_of_episodes_would_be_missed_is_refused(later):
+    env = TransformedEnv(MockArmEnv((2,)), Compose(EpisodeMetricsTransform(), later()))
+    with pytest.raises(ValueError, match=r"EpisodeMetricsTransform stands before \['\w+'\].*append it after them"):
+        env.reset()
+
+
+def test_after_a_counter_that_ends_episodes_the_metrics_are_those_of_the_episode():
+    env = TransformedEnv(
+        MockArmEnv((2,), horizons=(20,)), Compose(StepCounter(max_steps=5), EpisodeMetricsTransform(CONFIG))
+    )
+    episode = play(env, actions_for(env, 5))[0]
+    assert bool(episode["next", "done"][-1])
+    for name, value in offline(episode).items():
+        torch.testing.assert_close(episode["next", "metrics", name][-1], value)
+
+
+def test_a_counter_that_only_counts_may_stand_anywhere():
+    env = TransformedEnv(MockArmEnv((2,)), Compose(EpisodeMetricsTransform(), StepCounter()))
+    assert (env.rollout(6)["next", "metrics", "max_power"][:, -1] > 0).all()
+
+
+def test_after_a_macro_step_the_metrics_are_refused():
+    env = TransformedEnv(MockArmEnv((2,)), Compose(MacroStepTransform(2), EpisodeMetricsTransform()))
+    with pytest.raises(ValueError, match="EpisodeMetricsTransform stands after a MacroStepTransform"):
+        env.reset()

@@ -1,0 +1,185 @@
+"""Attack the tank at the motors on the simulated arm, and measure what is executed.
+
+Each attack is a policy that tries to get more power or work through than the tank allows. The executed power is torque
+times joint velocity at every control step, as the environment receives and observes them, evaluated in double
+precision; beside it stands what happened at the rate of the physics, which no law at control rate can bound: within a
+control step the torque is held while the velocity changes.
+
+``python benchmarks/attacks.py --steps 100000``
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torchrl.envs import Compose, Transform, TransformedEnv
+
+from ppt_rl.envs import EngineConfig, PandaEnv
+from ppt_rl.modules import CartesianImpedanceController, Kinematics
+from ppt_rl.tasks import motor_tank
+from ppt_rl.training import run_script
+from ppt_rl.transforms import EnergyTankTransform, ImpedanceTransform, JointTorqueTransform
+
+__all__ = ["ATTACKS", "attack"]
+
+#: From the observed tensordict and random numbers, an action.
+Policy = Callable[[dict[str, Tensor], torch.Generator], Tensor]
+
+
+@dataclass(frozen=True)
+class Config:
+    """Attack the tank and measure.
+
+    Attributes:
+        steps: control steps of each attack, summed over environments.
+        num_envs: environments that step together.
+        threads: physics threads; 0 takes one per CPU.
+        p_max: power limit [W].
+        e_max: capacity [J].
+        json: print one line of JSON only.
+    """
+
+    steps: int = 100_000
+    num_envs: int = 64
+    threads: int = 0
+    p_max: float = 2.0
+    e_max: float = 3.0
+    json: bool = False
+
+
+def _normal(read: dict[str, Tensor], size: int, generator: torch.Generator) -> Tensor:
+    return torch.randn(len(read["twist"]), size, generator=generator)
+
+
+def _perpendicular(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
+    """A wrench of a thousand newtons without any power: only limits joint by joint would give it some."""
+    wrench, twist = 1e3 * _normal(read, 6, generator), read["twist"]
+    return wrench - twist * (wrench * twist).sum(-1, keepdim=True) / twist.square().sum(-1, keepdim=True).clamp_min(
+        1e-12
+    )
+
+
+def _huge(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
+    """Ten billion newtons at right angles to the twist: the power drowns in rounding."""
+    return 1e7 * _perpendicular(read, generator)
+
+
+def _random(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
+    return 100.0 * _normal(read, 6, generator)
+
+
+def _bang_bang(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
+    """The largest torque of every joint, along its velocity, reversed at random."""
+    sign = torch.where(torch.rand(len(read["twist"]), 1, generator=generator) < 0.1, -1.0, 1.0)
+    return 100.0 * sign * torch.where(read["joint_velocity"] < 0, -1.0, 1.0)
+
+
+def _posture(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
+    """A reference at the tool: only a posture with a stiffness of 1000 N m/rad acts."""
+    return torch.cat([read["pose"], read["twist"]], -1)
+
+
+def _residual(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
+    """A reference a million metres away, held by a spring of 100,000 N/m."""
+    far = 1e6 * _normal(read, 3, generator)
+    return torch.cat([read["pose"][:, :3] + far, read["pose"][:, 3:], 1e3 * _normal(read, 6, generator)], -1)
+
+
+def _wrench(base: PandaEnv, **kwargs: float) -> list[Transform]:
+    return [JointTorqueTransform(Kinematics(base.arm, base.tool_length), **kwargs)]
+
+
+def _reference(base: PandaEnv, stiffness: float = 400.0, **kwargs: float) -> list[Transform]:
+    controller = CartesianImpedanceController(stiffness)
+    return [*_wrench(base, **kwargs), EnergyTankTransform(flow_key="twist"), ImpedanceTransform(controller)]
+
+
+#: Policy and the transforms that it acts through, after the tank at the motors, by name.
+ATTACKS: dict[str, tuple[Policy, Callable[[PandaEnv], list[Transform]]]] = {
+    "random": (_random, _wrench),
+    "perpendicular": (_perpendicular, _wrench),
+    "bang-bang": (_bang_bang, lambda base: []),
+    "1e10 N": (_huge, _wrench),
+    "posture 1000 N m/rad": (_posture, lambda base: _reference(base, posture_stiffness=1000.0)),
+    "reference 1e6 m away": (_residual, lambda base: _reference(base, stiffness=1e5)),
+}
+
+
+@torch.no_grad()
+def attack(name: str, run: Config, *, seed: int = 0) -> dict[str, float]:
+    """Run one attack.
+
+    Args:
+        name: one of :data:`ATTACKS`.
+        run: size of the attack and limits of the tank.
+        seed: of the policy's random numbers.
+
+    Returns:
+        ``power`` and ``work``, the largest executed at control rate as shares of ``p_max`` and ``e_max``;
+        ``closed``, share of the control steps in which the valve was not fully open; ``true_power`` [W] and
+        ``true_work`` [J], the largest at the rate of the physics; ``steps``.
+    """
+    policy, chain = ATTACKS[name]
+    base = PandaEnv(
+        run.num_envs, duration=1.0, seed=seed, engine=EngineConfig(num_threads=run.threads or None, audit=True)
+    )
+    env = TransformedEnv(base, Compose(motor_tank(run.p_max, run.e_max), *chain(base)))
+    executed = _watched(base)
+    generator, most = torch.Generator().manual_seed(seed), torch.zeros(5, dtype=torch.float64)
+    done, td, work, closed = 0, env.reset(), torch.zeros(run.num_envs, dtype=torch.float64), 0
+    while done < run.steps:
+        read = {key: td[key] for key in ("pose", "twist", "joint_velocity")}
+        stepped, td = env.step_and_maybe_reset(td.set("action", policy(read, generator)))
+        power = (executed[-1].double() * read["joint_velocity"].double()).sum(-1).abs()
+        work += 0.01 * power
+        audit = stepped["next", "audit"]
+        figures = power.max(), work.max(), audit["commanded_power"].max(), audit["commanded_work"].max()
+        most[:4] = torch.maximum(most[:4], torch.stack([figure.double() for figure in figures]))
+        closed += int((stepped["next", "motor_valve"] < 1).sum())
+        work[stepped["next", "done"].squeeze(-1)] = 0.0
+        done += run.num_envs
+    env.close()
+    power_share, work_share = float(most[0]) / run.p_max, float(most[1]) / run.e_max
+    return {
+        "power": power_share, "work": work_share, "closed": closed / done, "true_power": float(most[2]),
+        "true_work": float(most[3]), "steps": done,
+    }  # fmt: skip
+
+
+def _watched(base: PandaEnv) -> list[Tensor]:
+    """A list of one tensor: the torque that the engine executes."""
+    executed: list[Tensor] = [torch.empty(0)]
+    checked = base._checked_action
+
+    def spy(action: Tensor, mask: Tensor | None) -> Tensor:
+        executed[0] = checked(action, mask)
+        return executed[0]
+
+    base._checked_action = spy
+    return executed
+
+
+def main(run: Config) -> None:
+    """Attack and print."""
+    torch.set_num_threads(1)
+    results = {name: attack(name, run) for name in ATTACKS}
+    if run.json:
+        print(json.dumps(results))
+        return
+    print(
+        f"| attack | steps | power / {run.p_max} W | work / {run.e_max} J | valve < 1 | true power [W] | true work [J] |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for name, result in results.items():
+        print(
+            f"| {name} | {result['steps']:,} | {result['power']:.7f} | {result['work']:.7f} | {result['closed']:.2f} | "
+            f"{result['true_power']:.3g} | {result['true_work']:.3g} |"
+        )
+
+
+if __name__ == "__main__":
+    run_script(main, Config)
