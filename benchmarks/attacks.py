@@ -89,13 +89,14 @@ def _residual(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
     return torch.cat([read["pose"][:, :3] + far, read["pose"][:, 3:], 1e3 * _normal(read, 6, generator)], -1)
 
 
-def _wrench(base: PandaEnv, **kwargs: float) -> list[Transform]:
-    return [JointTorqueTransform(Kinematics(base.arm, base.tool_length), **kwargs)]
+def _wrench(base: PandaEnv, posture_stiffness: float = 10.0) -> list[Transform]:
+    kinematics = Kinematics(base.arm, base.tool_length)
+    return [JointTorqueTransform(kinematics, posture_stiffness=posture_stiffness)]
 
 
-def _reference(base: PandaEnv, stiffness: float = 400.0, **kwargs: float) -> list[Transform]:
+def _reference(base: PandaEnv, stiffness: float = 400.0, posture_stiffness: float = 10.0) -> list[Transform]:
     controller = CartesianImpedanceController(stiffness)
-    return [*_wrench(base, **kwargs), EnergyTankTransform(flow_key="twist"), ImpedanceTransform(controller)]
+    return [*_wrench(base, posture_stiffness), EnergyTankTransform(flow_key="twist"), ImpedanceTransform(controller)]
 
 
 #: Policy and the transforms that it acts through, after the tank at the motors, by name.
@@ -125,7 +126,7 @@ def attack(name: str, run: Config, *, seed: int = 0) -> dict[str, float]:
     """
     policy, chain = ATTACKS[name]
     base = PandaEnv(
-        run.num_envs, duration=1.0, seed=seed, engine=EngineConfig(num_threads=run.threads or None, audit=True)
+        run.num_envs, duration=3.0, seed=seed, engine=EngineConfig(num_threads=run.threads or None, audit=True)
     )
     env = TransformedEnv(base, Compose(motor_tank(run.p_max, run.e_max), *chain(base)))
     executed = _watched(base)
@@ -159,7 +160,7 @@ def _watched(base: PandaEnv) -> list[Tensor]:
         executed[0] = checked(action, mask)
         return executed[0]
 
-    base._checked_action = spy
+    base._checked_action = spy  # type: ignore[method-assign]
     return executed
 
 
@@ -170,9 +171,8 @@ def main(run: Config) -> None:
     if run.json:
         print(json.dumps(results))
         return
-    print(
-        f"| attack | steps | power / {run.p_max} W | work / {run.e_max} J | valve < 1 | true power [W] | true work [J] |"
-    )
+    limits = f"power / {run.p_max} W | work / {run.e_max} J"
+    print(f"| attack | steps | {limits} | valve < 1 | true power [W] | true work [J] |")
     print("|---|---|---|---|---|---|---|")
     for name, result in results.items():
         print(
