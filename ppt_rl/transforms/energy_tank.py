@@ -203,7 +203,9 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
                 "('joint_tank_energy', 'joint_valve')."
             )
         later = [
-            type(t).__name__ for t in transforms_after(self) if self.energy_key in unravel_key_list(t.out_keys or [])
+            type(other).__name__
+            for other in transforms_after(self)
+            if not isinstance(other, EnergyTankTransform) and self.energy_key in unravel_key_list(other.out_keys or [])
         ]
         if later:
             raise ValueError(

@@ -44,7 +44,7 @@ def warn_if_unstable(controller: CartesianImpedanceController, env: EnvBase) -> 
             f"the impedance is unstable at this rate: in each control step of {dt:g} s, small motions of "
             f"{kinematics.arm.name} at its home posture grow by a factor of {radius:.2f}; expected at most 1. The arm "
             f"will chatter. Lower the stiffness {_shown(gains[0])} or the damping {_shown(gains[1])}, above all the "
-            "last three numbers of each, or act more often."
+            "last three numbers of each, or the gains of the posture, or act more often."
         )
 
 
