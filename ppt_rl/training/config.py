@@ -12,7 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 import torch
 
-from ppt_rl.functional.checks import Bounds, require_bounds
+from ppt_rl.functional.checks import Bounds, require_at_most, require_bounds
 from ppt_rl.training.ppo import PPOConfig
 
 __all__ = ["RunConfig", "as_json", "from_json", "prepare_torch", "with_settings"]
@@ -20,6 +20,8 @@ __all__ = ["RunConfig", "as_json", "from_json", "prepare_torch", "with_settings"
 _Config = TypeVar("_Config")
 #: Marks a field that says how this process starts, and nothing of the run: its JSON form leaves it out.
 _NOT_RECORDED = {"recorded": False}
+#: Policy steps of a batch that fit into the memory of a large machine.
+_MAX_BATCH = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,11 @@ class RunConfig:
     }
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of bounds; a subclass adds bounds of its own as ``bounds``."""
+        """Refuse numbers out of bounds, and batches that no machine could hold; ``bounds`` of subclasses add up."""
         tables = [vars(kind).get("bounds", {}) for kind in reversed(type(self).__mro__)]
         require_bounds(self, {name: limits for table in tables for name, limits in table.items()})
+        batch = self.num_envs * getattr(self, "batch_steps", 1)
+        require_at_most("num_envs * batch_steps", batch, _MAX_BATCH, "lower num_envs or the policy steps of a batch")
 
 
 def prepare_torch(config: RunConfig) -> None:

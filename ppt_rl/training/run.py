@@ -10,7 +10,6 @@ from typing import Any
 from torch import nn
 from torchrl.envs import EnvBase
 
-from ppt_rl.functional.checks import require_at_most
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info
 from ppt_rl.training.config import RunConfig, as_json
 from ppt_rl.training.directory import checkpoint_to_resume, only_process_in, remove_leftovers, set_aside_newer
@@ -23,8 +22,6 @@ __all__ = ["Learners", "train_in_run_dir"]
 
 #: Options that may differ between a run and its continuation: place, threads and budget.
 _FREE = {"run_dir", "resume", "num_threads", "torch_threads", "ppo.total_control_steps"}
-#: Policy steps of a batch that fit into the memory of a large machine.
-_MAX_BATCH = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -61,10 +58,7 @@ def train_in_run_dir(
         CheckpointMismatch: if the directory holds a run that is not to be resumed or one that does not fit, or if
             another process trains in it.
         TrainingDiverged: if an update is not finite; the last checkpoint stays.
-        ValueError: if a batch is too large.
     """
-    batch = config.num_envs * policy_steps
-    require_at_most("the number of policy steps in a batch", batch, _MAX_BATCH, "lower num_envs or the policy steps")
     run_dir, settings = Path(config.run_dir), as_json(config)
     with only_process_in(run_dir):
         remove_leftovers(run_dir)
