@@ -11,9 +11,10 @@ RUN := runs/ppt_push
 demo: $(VENV)/.installed
 	$(PPT_RL) evaluate ppt_push --episodes 128 --film 2 --report runs/demo
 
-# Train PPT on box pushing (or continue a run that was cut off), then judge it: tables, figures, video, checkpoint.
+# Train PPT on box pushing, then judge it: tables, figures, video, checkpoint. Run it again after a cut: --resume goes on
+# from the last checkpoint, and starts afresh where there is none.
 push: $(VENV)/.installed
-	$(PY) recipes/ppo_ppt_push.py --run-dir $(RUN) $(if $(wildcard $(RUN)/checkpoints/*),--resume)
+	$(PY) recipes/ppo_ppt_push.py --run-dir $(RUN) --resume
 	$(PPT_RL) evaluate $(RUN) --per-group --baseline --report $(RUN)/report
 
 # Compare the four pushing variants over three seeds (hours; run it again to continue): results/push.

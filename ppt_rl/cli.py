@@ -47,8 +47,8 @@ def main() -> None:
 def _train(variant: str, args: list[str]) -> None:
     """Train with the options of the variant's recipe."""
     from ppt_rl.evaluation import find_recipe
-    from ppt_rl.training.script import advice_instead_of_traceback, run_script
+    from ppt_rl.training.script import advice_instead_of_traceback
 
     with advice_instead_of_traceback("ppt-rl"):
         recipe = find_recipe(variant)
-    run_script(recipe.train, recipe.config, args, prog=f"ppt-rl train {variant}")
+    recipe.main(args, prog=f"ppt-rl train {variant}")

@@ -79,6 +79,7 @@ class Evaluate(Judged):
         from ppt_rl.evaluation import evaluate
         from ppt_rl.evaluation.drawing import draw_policy
 
+        _require_writable(self.report)
         policy = self.load()
         result = evaluate(
             policy, episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, groups=self.per_group,
@@ -110,7 +111,11 @@ class Film(Judged):
         from ppt_rl.evaluation.drawing import film
 
         policy = self.load()
-        print(film(policy, self.output or Path(f"{policy.variant}.mp4"), episodes=self.episodes, seed=self.seed))
+        output = self.output or Path(f"{policy.variant}.mp4")
+        if output.is_dir():
+            raise ValueError(f"--output is the directory {output}; expected the path of a video (.mp4) in it.")
+        _require_writable(output.parent)
+        print(film(policy, output, episodes=self.episodes, seed=self.seed))
 
 
 @dataclass(frozen=True)
@@ -136,6 +141,7 @@ class CalibrateTank(Judged):
         """Calibrate and report."""
         from ppt_rl.evaluation import calibrate
 
+        _require_writable(self.report)
         result = calibrate(
             self.load(), episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, quantile=self.quantile,
             margin=self.margin,
@@ -214,6 +220,7 @@ class Sweep:
 
         if not self.policies:
             raise ValueError("no policy is given; expected at least one.")
+        _require_writable(self.report)
         policies = [_load(name, None, (f"num_threads={self.num_threads}",)) for name in self.policies]
         run_sweep(policies, episodes=self.episodes, seed=self.seed, baselines=self.baseline, report=self.report)
 
@@ -227,6 +234,14 @@ class Policies:
         from ppt_rl.evaluation.published import published_table
 
         print(published_table())
+
+
+def _require_writable(directory: Path | None) -> None:
+    """Refuse a directory that cannot be written to before the work whose results go there."""
+    if directory is not None:
+        from ppt_rl.training.logs import require_writable
+
+        require_writable(directory)
 
 
 def _load(name: str, recipe: str | None, settings: tuple[str, ...]) -> Policy:

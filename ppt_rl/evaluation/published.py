@@ -20,6 +20,7 @@ from ppt_rl.training.checkpoint import CheckpointMismatch
 from ppt_rl.training.logs import write_bytes_atomically, write_text_atomically
 
 __all__ = [
+    "card_digest",
     "is_pretrained",
     "load_pretrained",
     "pretrained_card",
@@ -77,12 +78,13 @@ def save_pretrained(directory: Path, modules: Mapping[str, nn.Module], card: Map
     Args:
         directory: target directory.
         modules: modules to save, by name: the actor, and those that its chain needs.
-        card: JSON data with at least ``variant`` and ``config``. The digest of the weights is added.
+        card: JSON data with at least ``variant`` and ``config``. The digest of card and weights is added.
     """
     tensors = {f"{name}.{key}": value.contiguous() for name, module in modules.items() for key, value in _state(module)}
     data = save_tensors(tensors)
     write_bytes_atomically(directory / _WEIGHTS, data)
-    record = {**card, "weights": _WEIGHTS, "sha256": hashlib.sha256(data).hexdigest()}
+    record = {**card, "weights": _WEIGHTS}
+    record["sha256"] = card_digest(record, data)
     write_text_atomically(directory / _CARD, json.dumps(record, indent=2) + "\n")
 
 
@@ -90,8 +92,23 @@ def _state(module: nn.Module) -> list[tuple[str, Tensor]]:
     return [(key, value.detach().cpu()) for key, value in module.state_dict().items()]
 
 
+def card_digest(card: Mapping[str, Any], weights: bytes) -> str:
+    """Digest of a published policy: of everything that its card says, and of its weights.
+
+    Args:
+        card: JSON data; its entry ``sha256`` does not count, nor does the order or the layout of the entries.
+        weights: content of the file of weights.
+
+    Returns:
+        SHA-256 of the canonical JSON, a zero byte and the weights, in hexadecimal.
+    """
+    content = {key: value for key, value in card.items() if key != "sha256"}
+    canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(canonical.encode() + b"\0" + weights).hexdigest()
+
+
 def pretrained_card(directory: Path) -> dict[str, Any]:
-    """The card of a published policy.
+    """The card of a published policy, after it was compared with its digest.
 
     Args:
         directory: a directory that :func:`save_pretrained` wrote.
@@ -100,42 +117,51 @@ def pretrained_card(directory: Path) -> dict[str, Any]:
         Its content.
 
     Raises:
-        CheckpointMismatch: if it is unreadable or names no variant.
+        CheckpointMismatch: if it is unreadable or names no variant, or if card or weights were changed.
     """
+    return _verified(directory)[0]
+
+
+def _verified(directory: Path) -> tuple[dict[str, Any], bytes]:
+    """Card and weights of a published policy, as its digest knows them."""
     try:
         card = json.loads((directory / _CARD).read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise CheckpointMismatch(f"{directory / _CARD} cannot be read ({error}); take a fresh copy.") from error
     if not isinstance(card, dict) or not all(isinstance(card.get(name), kind) for name, kind in _NEEDED.items()):
         raise CheckpointMismatch(f"{directory / _CARD} is not a card: expected variant, config and sha256 in it.")
-    return card
+    try:
+        data = (directory / _WEIGHTS).read_bytes()
+    except OSError as error:
+        raise CheckpointMismatch(
+            f"{directory / _WEIGHTS} cannot be read ({error}); expected the weights beside the card."
+        ) from error
+    digest = card_digest(card, data)
+    if digest != card["sha256"]:
+        raise CheckpointMismatch(
+            f"{directory / _CARD} or {_WEIGHTS} beside it was changed: its SHA-256 is {digest[:12]}..., the card says "
+            f"{card['sha256'][:12]}.... Take a fresh copy of both."
+        )
+    return card, data
 
 
 def load_pretrained(directory: Path, modules: Mapping[str, nn.Module]) -> None:
-    """Load a published policy into modules, after its weights were compared with the card.
+    """Load a published policy into modules, after card and weights were compared with their digest.
 
     Args:
         directory: a directory that :func:`save_pretrained` wrote.
         modules: to fill, by name.
 
     Raises:
-        CheckpointMismatch: if the weights are missing, are not those of the card, or do not fit.
+        CheckpointMismatch: if card or weights are missing or were changed, or if the weights do not fit.
     """
-    path, card = directory / _WEIGHTS, pretrained_card(directory)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise CheckpointMismatch(f"{path} cannot be read ({error}); expected the weights beside the card.") from error
-    digest = hashlib.sha256(data).hexdigest()
-    if digest != card["sha256"]:
-        raise CheckpointMismatch(
-            f"{path} was changed: its SHA-256 is {digest[:12]}..., the card says {str(card['sha256'])[:12]}.... "
-            "Take a fresh copy of both."
-        )
+    card, data = _verified(directory)
     try:
         tensors = load_tensors(data)
         for name, module in modules.items():
             prefix = f"{name}."
             module.load_state_dict({k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)})
     except (SafetensorError, RuntimeError) as error:
-        raise CheckpointMismatch(f"{path} does not fit the variant {card['variant']!r} ({error}).") from error
+        raise CheckpointMismatch(
+            f"{directory / _WEIGHTS} does not fit the variant {card['variant']!r} ({error})."
+        ) from error

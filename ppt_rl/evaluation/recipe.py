@@ -9,6 +9,7 @@ import pkgutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,14 @@ from torchrl.envs import Compose, Transform, TransformedEnv
 
 from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.task import Task
-from ppt_rl.training import CheckpointMismatch, Learners, prepare_torch, run_script, train_in_run_dir
+from ppt_rl.training import (
+    CheckpointMismatch,
+    Learners,
+    options_to_resume,
+    prepare_torch,
+    run_script,
+    train_in_run_dir,
+)
 
 __all__ = ["Recipe", "find_recipe", "shipped_recipes"]
 
@@ -139,9 +147,16 @@ class Recipe:
         learners = Learners(*self.make_policy(config, env), extra=modules)
         return train_in_run_dir(config, env, learners, policy_steps=config.batch_steps, identity=self.identity)
 
-    def main(self) -> None:
-        """Train with the options of the command line: what the recipe does as a script."""
-        run_script(self.train, self.config)
+    def main(self, args: Sequence[str] | None = None, prog: str | None = None) -> None:
+        """Train with the options of a command line: what the recipe does as a script.
+
+        With ``--resume``, options that are not given are those of the run.
+
+        Args:
+            args: command line; None takes that of the process.
+            prog: name of the program in its help; None takes that of the process.
+        """
+        run_script(self.train, self.config, args, prog, partial(options_to_resume, self.config, self.variant))
 
 
 def shipped_recipes() -> dict[str, Path]:

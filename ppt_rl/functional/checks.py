@@ -3,12 +3,97 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from numbers import Integral, Real
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-__all__ = ["require_all", "require_finite", "require_last_dim", "require_positive", "require_ranges"]
+__all__ = [
+    "Bounds",
+    "require_all",
+    "require_at_most",
+    "require_bounds",
+    "require_finite",
+    "require_last_dim",
+    "require_positive",
+    "require_ranges",
+]
+
+
+class Bounds(NamedTuple):
+    """Smallest and largest value of an option; two whole numbers ask for a whole number.
+
+    Attributes:
+        low: smallest value.
+        high: largest value: far beyond any sensible use, but within what a machine can hold and finish.
+        unit: unit of the option, for the message.
+    """
+
+    low: float
+    high: float
+    unit: str = ""
+
+    def __str__(self) -> str:
+        """What is expected, in words."""
+        kind = "a whole number" if self.whole else "a number"
+        return f"{kind} from {self.low:g} to {self.high:.15g} {self.unit}".rstrip()
+
+    @property
+    def whole(self) -> bool:
+        """Whether only whole numbers fit."""
+        return isinstance(self.low, int) and isinstance(self.high, int)
+
+    def hold(self, value: Any) -> bool:
+        """Whether a value is a number within the bounds; NaN is not, and neither is a truth value.
+
+        Args:
+            value: anything.
+
+        Returns:
+            Whether it fits.
+        """
+        return (
+            isinstance(value, Integral if self.whole else Real)
+            and not isinstance(value, bool)
+            and self.low <= float(value) <= self.high
+        )
+
+
+def require_at_most(name: str, value: float, high: float, advice: str) -> None:
+    """Raise if a size is larger than what a machine can hold or finish.
+
+    Args:
+        name: what the number is, for the error message.
+        value: the number.
+        high: its largest value.
+        advice: what to change.
+
+    Raises:
+        ValueError: if the number is larger, or not a number.
+    """
+    if not value <= high:
+        raise ValueError(f"{name} is {value:g}; expected at most {high:g}: {advice}.")
+
+
+def require_bounds(options: Any, bounds: Mapping[str, Bounds]) -> None:
+    """Raise if a numeric field of a dataclass lies outside its bounds, or is not finite.
+
+    Args:
+        options: a dataclass instance. Every entry of a tuple is checked. A number without bounds must be finite.
+        bounds: bounds by the name of the field; names of other fields are passed over.
+
+    Raises:
+        ValueError: if a number is out of bounds or not finite.
+    """
+    for name, value in vars(options).items():
+        limits = bounds.get(name)
+        for entry in value if isinstance(value, (tuple, list)) else (value,):
+            if limits is not None and not limits.hold(entry):
+                raise ValueError(f"{name} is {entry!r}; expected {limits}.")
+            if isinstance(entry, Real) and not math.isfinite(entry):
+                raise ValueError(f"{name} is {entry}; expected a finite number.")
 
 
 def require_all(condition: Tensor, message: str) -> None:

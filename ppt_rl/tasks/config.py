@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from ppt_rl.arms import find_arm
 from ppt_rl.envs import EngineConfig
+from ppt_rl.functional.checks import Bounds, require_at_most
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.training import RunConfig
 from ppt_rl.transforms import EnergyTankTransform
 
 __all__ = ["TaskConfig", "env_settings", "episode_metrics", "make_controller", "motor_tank"]
+
+#: Largest numbers of physics steps in a control step, of control steps in an episode, and in those of all environments.
+_MAX_SUBSTEPS, _MAX_STEPS, _MAX_TOTAL = 1000, 60_000, 20_000_000
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,27 @@ class TaskConfig(RunConfig):
     stiffness: float = 400.0
     damping_ratio: float = 1.0
     p_max: float = 2.0
+
+    bounds: ClassVar[dict[str, Bounds]] = {
+        "duration": Bounds(1e-3, 600.0, "s"),
+        "physics_dt": Bounds(1e-5, 0.1, "s"),
+        "control_dt": Bounds(1e-4, 1.0, "s"),
+        "stiffness": Bounds(0.0, 1e6, "N/m"),
+        "damping_ratio": Bounds(0.0, 100.0),
+        "p_max": Bounds(1e-6, 1e6, "W"),
+        "e_max": Bounds(1e-6, 1e6, "J"),  # of the recipes with a tank
+        "num_basis": Bounds(2, 100),  # of the recipes with a ProMP
+        "replan_steps": Bounds(0, _MAX_STEPS, "control steps"),
+    }
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of bounds, and episodes that no machine could hold."""
+        super().__post_init__()
+        substeps = self.control_dt / self.physics_dt
+        require_at_most("control_dt / physics_dt", substeps, _MAX_SUBSTEPS, "raise physics_dt or lower control_dt")
+        require_at_most("duration / control_dt", self.horizon, _MAX_STEPS, "lower duration or raise control_dt")
+        steps = self.num_envs * self.horizon
+        require_at_most("num_envs * duration / control_dt", steps, _MAX_TOTAL, "lower num_envs or duration")
 
     @property
     def horizon(self) -> int:

@@ -2,9 +2,12 @@
 
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info, find_checkpoint, load_checkpoint
 from ppt_rl.training.config import RunConfig, as_json, from_json, prepare_torch, with_settings
-from ppt_rl.training.loop import TrainingRun, train_ppo
+from ppt_rl.training.finite import TrainingDiverged
+from ppt_rl.training.loop import train_ppo
 from ppt_rl.training.networks import make_actor_critic
 from ppt_rl.training.ppo import PPOConfig
+from ppt_rl.training.progress import TrainingRun
+from ppt_rl.training.resume import options_to_resume
 from ppt_rl.training.run import Learners, train_in_run_dir
 from ppt_rl.training.script import run_script
 
@@ -13,6 +16,7 @@ __all__ = [
     "Learners",
     "PPOConfig",
     "RunConfig",
+    "TrainingDiverged",
     "TrainingRun",
     "as_json",
     "checkpoint_info",
@@ -20,6 +24,7 @@ __all__ = [
     "from_json",
     "load_checkpoint",
     "make_actor_critic",
+    "options_to_resume",
     "prepare_torch",
     "run_script",
     "train_in_run_dir",

@@ -2,14 +2,37 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import tempfile
+import warnings
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from torchrl.checkpoint import Checkpoint, CheckpointError, CheckpointRotation
 
-__all__ = ["CheckpointMismatch", "checkpoint_info", "find_checkpoint", "load_checkpoint", "rotation", "save_checkpoint"]
+from ppt_rl.training.finite import TrainingDiverged, first_not_finite, size_of
+
+__all__ = [
+    "CheckpointMismatch",
+    "all_checkpoints",
+    "checkpoint_info",
+    "find_checkpoint",
+    "load_checkpoint",
+    "newest_checkpoint",
+    "rotation",
+    "save_checkpoint",
+    "step_of",
+]
+
+#: What a file that is no intact archive makes its readers raise.
+_UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, EOFError, zlib.error,
+               zipfile.BadZipFile, CheckpointError)  # fmt: skip
+#: Room that a checkpoint takes beside its tensors: manifest, random-number generators, blocks that are not full [B].
+_OVERHEAD = 2**21
 
 
 class CheckpointMismatch(RuntimeError):
@@ -41,12 +64,98 @@ def save_checkpoint(run_dir: Path, components: Mapping[str, Any], *, step: int, 
 
     Returns:
         Path of the archive.
+
+    Raises:
+        TrainingDiverged: before anything is written, if a number in the components is NaN or infinite.
+        OSError: if it cannot be written; the older checkpoints stay as they are.
     """
-    return rotation(run_dir).save(Checkpoint(format="archive", **components), step=step, metadata=dict(metadata))
+    broken = first_not_finite(components)
+    if broken is not None:
+        raise TrainingDiverged(f"{broken} is not finite")
+    saved = rotation(run_dir)
+    saved.directory.mkdir(parents=True, exist_ok=True)
+    _require_room(saved.directory, components)
+    return saved.save(Checkpoint(format="archive", **components), step=step, metadata=dict(metadata))
+
+
+def _require_room(folder: Path, components: Mapping[str, Any]) -> None:
+    """Raise OSError unless the disk has room for a checkpoint, once as loose files and once as an archive.
+
+    torchrl maps the loose files into memory: on a full disk the system kills a process that writes to them.
+    """
+    size = 2 * size_of(components) + _OVERHEAD
+    if not hasattr(os, "posix_fallocate"):
+        return
+    with tempfile.TemporaryFile(dir=folder) as trial:
+        try:
+            os.posix_fallocate(trial.fileno(), 0, size)
+        except OSError as error:
+            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS):  # file systems without reservations
+                raise OSError(error.errno, error.strerror, str(folder)) from error
+
+
+def all_checkpoints(run_dir: Path) -> list[Path]:
+    """Checkpoints of a run, whether they can be read or not; what a killed process left unfinished is none.
+
+    Args:
+        run_dir: directory of the run.
+
+    Returns:
+        Paths, the newest first.
+    """
+    found = rotation(run_dir).directory.glob("checkpoint-*")
+    return sorted((path for path in found if _step_text(path).isdigit()), key=step_of, reverse=True)
+
+
+def step_of(path: Path) -> int:
+    """Control steps after which a checkpoint of a run was written, from its name.
+
+    Args:
+        path: the checkpoint.
+
+    Returns:
+        The number.
+    """
+    return int(_step_text(path))
+
+
+def _step_text(path: Path) -> str:
+    return path.name.removesuffix(".torchrl").removeprefix("checkpoint-")
+
+
+def newest_checkpoint(run_dir: Path) -> Path | None:
+    """The newest checkpoint of a run that can be read; warns where a newer one cannot.
+
+    Args:
+        run_dir: directory of the run.
+
+    Returns:
+        Its path, or None if the run has written none.
+
+    Raises:
+        CheckpointMismatch: if there are some and none can be read.
+    """
+    damaged = []
+    for path in all_checkpoints(run_dir):
+        try:
+            checkpoint_info(path)
+        except CheckpointMismatch as error:
+            damaged.append((path.name, error))
+            continue
+        if damaged:
+            names = ", ".join(name for name, _ in damaged)
+            warnings.warn(f"{run_dir}: {names} cannot be read; {path.name} is taken in its place.", stacklevel=2)
+        return path
+    if damaged:
+        raise CheckpointMismatch(
+            f"{run_dir} holds {len(damaged)} checkpoints and none can be read: {damaged[0][1]} Take a copy from a "
+            f"backup, start another run with --run-dir, or delete {run_dir / 'checkpoints'} to start this one afresh."
+        )
+    return None
 
 
 def find_checkpoint(path: Path) -> Path:
-    """Resolve a path to a checkpoint: the path itself, or the newest checkpoint of a run directory.
+    """Resolve a path to a checkpoint: the path itself, or the newest checkpoint of a run that can be read.
 
     Args:
         path: a checkpoint, or a run's directory.
@@ -58,19 +167,19 @@ def find_checkpoint(path: Path) -> Path:
         CheckpointMismatch: if there is none.
     """
     if path.is_dir() and not (path / "manifest.json").exists():
-        latest = rotation(path).latest()
-        if latest is None:
+        newest = newest_checkpoint(path)
+        if newest is None:
             raise CheckpointMismatch(
                 f"{path} holds no checkpoint; expected a checkpoint, or a run's directory with checkpoints/ in it."
             )
-        return latest
+        return newest
     if not path.exists():
         raise CheckpointMismatch(f"{path} does not exist; expected a checkpoint or a run's directory.")
     return path
 
 
 def checkpoint_info(path: Path, variant: str | None = None) -> dict[str, Any]:
-    """Metadata of a checkpoint, read without loading it.
+    """Metadata of a checkpoint, read without loading it; every byte of an archive is compared with its checksum.
 
     Args:
         path: the checkpoint.
@@ -83,24 +192,33 @@ def checkpoint_info(path: Path, variant: str | None = None) -> dict[str, Any]:
         CheckpointMismatch: if it is unreadable, incomplete, or of another variant.
     """
     try:
-        manifest = Checkpoint.manifest(path)
-        if path.is_file():
-            with zipfile.ZipFile(path) as archive:
-                broken = archive.testzip()
-            if broken is not None:
-                raise CheckpointMismatch(f"{path} is damaged in {broken}; use another checkpoint of the run.")
-    except (OSError, ValueError, KeyError, CheckpointError, zipfile.BadZipFile) as error:
+        metadata = Checkpoint.manifest(path).get("metadata", {})
+        broken = _broken_member(path)
+    except _UNREADABLE as error:
         raise CheckpointMismatch(
             f"{path} cannot be read as a checkpoint ({error}); it may be truncated. Use another checkpoint of the run."
         ) from error
-    metadata = manifest.get("metadata", {})
-    if "variant" not in metadata or "config" not in metadata:
+    if broken is not None:
+        raise CheckpointMismatch(f"{path} is damaged in {broken}; use another checkpoint of the run.")
+    if (
+        not isinstance(metadata, Mapping)
+        or not isinstance(metadata.get("config"), Mapping)
+        or "variant" not in metadata
+    ):
         raise CheckpointMismatch(f"{path} is not a checkpoint of this library: its metadata names no variant.")
     if variant is not None and metadata["variant"] != variant:
         raise CheckpointMismatch(
             f"{path} is of variant {metadata['variant']!r}; expected {variant!r}. Use the recipe that trained it."
         )
-    return metadata
+    return dict(metadata)
+
+
+def _broken_member(path: Path) -> str | None:
+    """The first file of an archive that differs from its checksum."""
+    if not path.is_file():
+        return None
+    with zipfile.ZipFile(path) as archive:
+        return archive.testzip()
 
 
 def load_checkpoint(path: Path, components: Mapping[str, Any]) -> dict[str, Any]:
@@ -114,11 +232,15 @@ def load_checkpoint(path: Path, components: Mapping[str, Any]) -> dict[str, Any]
         Values of the components that are plain data.
 
     Raises:
-        CheckpointMismatch: if a component is missing or does not fit.
+        CheckpointMismatch: if a component is missing, does not fit or is not finite.
     """
     try:
-        return Checkpoint(**components).load(path).values
-    except (CheckpointError, RuntimeError, OSError, ValueError, zipfile.BadZipFile) as error:
+        values = Checkpoint(**components).load(path).values
+    except _UNREADABLE as error:
         raise CheckpointMismatch(
             f"{path} does not fit ({error}); expected a checkpoint of the same variant, network and primitive."
         ) from error
+    broken = first_not_finite({**components, **values})
+    if broken is not None:
+        raise CheckpointMismatch(f"{path} holds numbers that are not finite in {broken}; use an older checkpoint.")
+    return values

@@ -8,15 +8,20 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
 
+from ppt_rl.functional.checks import Bounds, require_at_most, require_bounds
 from ppt_rl.training.ppo import PPOConfig
 
 __all__ = ["RunConfig", "as_json", "from_json", "prepare_torch", "with_settings"]
 
 _Config = TypeVar("_Config")
+#: Marks a field that says how this process starts, and nothing of the run: its JSON form leaves it out.
+_NOT_RECORDED = {"recorded": False}
+#: Policy steps of a batch that fit into the memory of a large machine.
+_MAX_BATCH = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -26,11 +31,12 @@ class RunConfig:
     Attributes:
         run_dir: directory of logs, checkpoints and figures.
         seed: seed of everything random.
-        resume: continue from the newest checkpoint in run_dir.
+        resume: continue from the newest checkpoint in run_dir, with its options; without one, start afresh.
         num_envs: number of environments that step together.
         num_threads: physics threads; 0 takes one per CPU.
         torch_threads: threads of torch during the simulation; its tensors are small, so more than one gains nothing.
         ppo: settings of PPO.
+        resume_from: continue from this checkpoint of run_dir, or of another run where run_dir holds none.
     """
 
     run_dir: Path = Path("runs/run")
@@ -40,6 +46,23 @@ class RunConfig:
     num_threads: int = 0
     torch_threads: int = 1
     ppo: PPOConfig = field(default_factory=PPOConfig)
+    resume_from: Path | None = field(default=None, metadata=_NOT_RECORDED, kw_only=True)
+
+    bounds: ClassVar[dict[str, Bounds]] = {
+        "seed": Bounds(0, 2**32 - 1),
+        "num_envs": Bounds(1, 16_384),
+        "num_threads": Bounds(0, 1024),
+        "torch_threads": Bounds(1, 1024),
+        "batch_steps": Bounds(1, 100_000, "policy steps"),
+        "initial_scale": Bounds(1e-6, 1e3),
+    }
+
+    def __post_init__(self) -> None:
+        """Refuse numbers out of bounds, and batches that no machine could hold; ``bounds`` of subclasses add up."""
+        tables = [vars(kind).get("bounds", {}) for kind in reversed(type(self).__mro__)]
+        require_bounds(self, {name: limits for table in tables for name, limits in table.items()})
+        batch = self.num_envs * getattr(self, "batch_steps", 1)
+        require_at_most("num_envs * batch_steps", batch, _MAX_BATCH, "lower num_envs or the policy steps of a batch")
 
 
 def prepare_torch(config: RunConfig) -> None:
@@ -66,7 +89,8 @@ def as_json(config: Any) -> dict[str, Any]:
     """
     if not is_dataclass(config) or isinstance(config, type):
         raise TypeError(f"config is a {type(config).__name__}; expected a dataclass instance.")
-    return json.loads(json.dumps(asdict(config), default=str))
+    recorded = _recorded(type(config))
+    return json.loads(json.dumps({k: v for k, v in asdict(config).items() if k in recorded}, default=str))
 
 
 def from_json(config_class: type[_Config], settings: Mapping[str, Any]) -> _Config:
@@ -83,7 +107,7 @@ def from_json(config_class: type[_Config], settings: Mapping[str, Any]) -> _Conf
         ValueError: if a field is missing or unknown, or a value is impossible.
     """
     hints = typing.get_type_hints(config_class)
-    known = {f.name for f in fields(config_class)}  # type: ignore[arg-type]
+    known = _recorded(config_class)
     if set(settings) != known:
         raise ValueError(
             f"the settings of {config_class.__name__} have no {sorted(known - set(settings))} and unknown "
@@ -93,6 +117,11 @@ def from_json(config_class: type[_Config], settings: Mapping[str, Any]) -> _Conf
         return config_class(**{name: _restored(hints[name], value) for name, value in settings.items()})
     except TypeError as error:
         raise ValueError(f"a setting of {config_class.__name__} does not fit: {error}.") from error
+
+
+def _recorded(config_class: type) -> set[str]:
+    """Names of the fields that belong to the JSON form."""
+    return {f.name for f in fields(config_class) if f.metadata.get("recorded", True)}
 
 
 def with_settings(config: _Config, settings: Mapping[str, str]) -> _Config:

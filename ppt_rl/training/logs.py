@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import os
 import platform
+import re
 import sys
+import tempfile
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -15,28 +18,45 @@ import numpy as np
 from numpy.typing import NDArray
 from torchrl.record.loggers import CSVLogger, TensorboardLogger
 
-__all__ = ["RunLogs", "read_scalar", "save_config", "versions", "write_bytes_atomically", "write_text_atomically"]
+__all__ = [
+    "RunLogs",
+    "read_scalar",
+    "remove_drafts",
+    "require_writable",
+    "save_config",
+    "saved_config",
+    "versions",
+    "write_bytes_atomically",
+    "write_text_atomically",
+]
 
+#: A complete line of a CSV file of scalars.
+_LINE = re.compile(r"(\d+),([-+.\w]+)\n")
 _PACKAGES = ("ppt_rl", "torch", "torchrl", "tensordict", "mujoco", "dm_control", "pytorch_kinematics", "numpy")
 
 
 class RunLogs:
     """Scalars of a run: ``logs/csv/scalars/NAME.csv`` (step, value) and ``logs/tensorboard``.
 
+    The CSV files are written through at once, TensorBoard's are buffered. So a run that goes on keeps what its CSV
+    files hold up to its checkpoint, and writes TensorBoard's anew from them: each holds each step once.
+
     Args:
         run_dir: directory of the run.
-        last_step: control step to continue from; entries that a killed run logged after it are dropped.
+        last_step: control step to continue from; entries that a killed run logged after it are dropped. At 0, all are.
     """
 
     def __init__(self, run_dir: Path, last_step: int = 0) -> None:
-        logs = str(run_dir / "logs")
-        for path in (run_dir / "logs" / "csv" / "scalars").glob("*.csv"):
-            lines = path.read_text().splitlines(keepends=True)
-            write_text_atomically(path, "".join(line for line in lines if int(line.split(",")[0]) <= last_step))
-        self._loggers = [
-            CSVLogger(exp_name="csv", log_dir=logs),
-            TensorboardLogger(exp_name="tensorboard", log_dir=logs),
-        ]
+        logs = run_dir / "logs"
+        kept = {path.stem: _trimmed(path, last_step) for path in sorted((logs / "csv" / "scalars").glob("*.csv"))}
+        for path in (logs / "tensorboard").glob("events.out.tfevents.*"):
+            path.unlink()
+        self._csv = CSVLogger(exp_name="csv", log_dir=str(logs))
+        self._tensorboard = TensorboardLogger(exp_name="tensorboard", log_dir=str(logs))
+        for step in sorted(set().union(*kept.values())):
+            for name, values in kept.items():
+                if step in values:
+                    self._tensorboard.log_scalar(name, float(values[step]), step=step)
 
     def write(self, scalars: Mapping[str, float], step: int) -> None:
         """Log scalars.
@@ -45,13 +65,33 @@ class RunLogs:
             scalars: values by name.
             step: control steps so far.
         """
-        for logger in self._loggers:
+        for logger in (self._csv, self._tensorboard):
             for name, value in scalars.items():
                 logger.log_scalar(name, value, step=step)
 
+    def flush(self) -> None:
+        """Write out what is still buffered."""
+        self._tensorboard.experiment.flush()
+
     def close(self) -> None:
-        """Flush."""
-        self._loggers[1].experiment.flush()
+        """Write out what is still buffered, and close."""
+        self._tensorboard.experiment.close()
+
+
+def _trimmed(path: Path, last_step: int) -> dict[int, str]:
+    """Values of a CSV file by step, up to a step; the file is cut to them, and removed if there are none.
+
+    A line that a kill has torn is dropped. It is always the last one, so it was written after the last checkpoint.
+    """
+    remove_drafts(path)
+    lines = path.read_text(errors="replace").splitlines(keepends=True)
+    whole = [match.groups() for match in map(_LINE.fullmatch, lines) if match]
+    values = {int(step): value for step, value in whole if int(step) <= last_step}
+    if values:
+        write_text_atomically(path, "".join(f"{step},{value}\n" for step, value in values.items()))
+    else:
+        path.unlink()
+    return values
 
 
 def read_scalar(run_dir: Path, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -87,6 +127,22 @@ def save_config(run_dir: Path, config: Mapping[str, Any]) -> None:
     write_text_atomically(run_dir / "config.json", json.dumps(record, indent=2) + "\n")
 
 
+def saved_config(run_dir: Path) -> dict[str, Any] | None:
+    """The configuration in ``config.json``.
+
+    Args:
+        run_dir: directory of the run.
+
+    Returns:
+        JSON data, with ``variant``; None if there is none or it cannot be read.
+    """
+    try:
+        config = json.loads((run_dir / "config.json").read_text())["config"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return config if isinstance(config, dict) else None
+
+
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that a result depends on.
 
@@ -115,5 +171,36 @@ def write_bytes_atomically(path: Path, data: bytes) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
-    draft.write_bytes(data)
-    draft.replace(path)
+    try:
+        draft.write_bytes(data)
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def require_writable(directory: Path) -> None:
+    """Create a directory and a nameless file in it, so that long work does not end with a file that cannot be written.
+
+    Args:
+        directory: the directory.
+
+    Raises:
+        OSError: if it cannot be created or written to.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    try:
+        with tempfile.TemporaryFile(dir=directory) as trial:
+            trial.write(b"\0")
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(directory)) from error
+
+
+def remove_drafts(path: Path) -> None:
+    """Remove what killed processes left of a file that they were writing atomically.
+
+    Args:
+        path: path of the file; no other process may be writing it.
+    """
+    for draft in path.parent.glob(f".{glob.escape(path.name)}.*"):
+        if draft.suffix[1:].isdigit():
+            draft.unlink(missing_ok=True)

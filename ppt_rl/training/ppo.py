@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -13,6 +14,9 @@ from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
 from torchrl.objectives.value import GAE
+
+from ppt_rl.functional.checks import Bounds, require_bounds
+from ppt_rl.training.finite import TrainingDiverged, first_not_finite, require_finite_update
 
 __all__ = ["Learner", "PPOConfig"]
 
@@ -52,14 +56,24 @@ class PPOConfig:
     max_grad_norm: float = 1.0
     checkpoint_every: int = 5
 
+    bounds: ClassVar[dict[str, Bounds]] = {
+        "total_control_steps": Bounds(0, 10**12, "control steps"),
+        "epochs": Bounds(1, 1000),
+        "minibatches": Bounds(1, 100_000),
+        "learning_rate": Bounds(1e-12, 10.0),
+        "max_learning_rate": Bounds(1e-12, 10.0),
+        "target_kl": Bounds(1e-12, 1e9, "nat"),
+        "clip": Bounds(1e-9, 10.0),
+        "entropy": Bounds(0.0, 1e3),
+        "gamma": Bounds(1e-9, 1.0),
+        "gae_lambda": Bounds(1e-9, 1.0),
+        "max_grad_norm": Bounds(1e-9, 1e9),
+        "checkpoint_every": Bounds(1, 10**9, "batches"),
+    }
+
     def __post_init__(self) -> None:
         """Refuse impossible settings."""
-        for name, value in asdict(self).items():
-            if value < 0 or (value == 0 and name not in ("entropy", "total_control_steps")):
-                raise ValueError(f"{name} is {value}; expected a number above 0.")
-        for name in ("gamma", "gae_lambda"):
-            if getattr(self, name) > 1:
-                raise ValueError(f"{name} is {getattr(self, name)}; expected at most 1.")
+        require_bounds(self, self.bounds)
 
 
 @contextmanager
@@ -101,6 +115,9 @@ class Learner:
 
         Returns:
             Mean losses, the divergence from the policy that acted [nat] and the learning rate.
+
+        Raises:
+            TrainingDiverged: before a step that is not finite.
         """
         with _threads(len(os.sched_getaffinity(0)) if batch.numel() > _LARGE else torch.get_num_threads()):
             return self._improve(self._with_advantage(batch))
@@ -113,11 +130,16 @@ class Learner:
                 total = losses["loss_objective"] + losses["loss_critic"] + losses.get("loss_entropy", torch.zeros(()))
                 self.optimizer.zero_grad()
                 total.backward()
-                nn.utils.clip_grad_norm_(self.loss.parameters(), config.max_grad_norm)
+                norm = nn.utils.clip_grad_norm_(self.loss.parameters(), config.max_grad_norm)
+                require_finite_update(
+                    objective=losses["loss_objective"].detach(), critic=losses["loss_critic"].detach(), gradient=norm
+                )
                 self.optimizer.step()
                 totals += torch.stack([losses["loss_objective"].detach(), losses["loss_critic"].detach()])
                 updates += 1
+            self._require_finite_networks()
             divergence = self._divergence(batch)
+            require_finite_update(divergence=divergence)
             self.schedule.step(divergence)
             if divergence > 2 * config.target_kl:
                 break
@@ -126,6 +148,11 @@ class Learner:
         return {
             "loss_objective": objective, "loss_critic": critic, "kl": float(divergence), "learning_rate": rate,
         }  # fmt: skip
+
+    def _require_finite_networks(self) -> None:
+        broken = first_not_finite({"actor": self.actor, "critic": self.critic})
+        if broken is not None:
+            raise TrainingDiverged(f"{broken} is not finite")
 
     @torch.no_grad()
     def _with_advantage(self, batch: TensorDictBase) -> TensorDictBase:

@@ -1,4 +1,4 @@
-"""A training run in its directory: fresh, or continued from its newest checkpoint."""
+"""A training run in its directory: fresh, or continued from a checkpoint."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from typing import Any
 from torch import nn
 from torchrl.envs import EnvBase
 
-from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info, find_checkpoint
+from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info
 from ppt_rl.training.config import RunConfig, as_json
+from ppt_rl.training.directory import checkpoint_to_resume, only_process_in, remove_leftovers, set_aside_newer
 from ppt_rl.training.logs import save_config
-from ppt_rl.training.loop import TrainingRun, train_ppo
+from ppt_rl.training.loop import train_ppo
 from ppt_rl.training.networks import begin_norms
+from ppt_rl.training.progress import TrainingRun
 
 __all__ = ["Learners", "train_in_run_dir"]
 
-#: Options that may differ between a run and its continuation: place and threads.
-_FREE = {"run_dir", "resume", "num_threads", "torch_threads"}
+#: Options that may differ between a run and its continuation: place, threads and budget.
+_FREE = {"run_dir", "resume", "num_threads", "torch_threads", "ppo.total_control_steps"}
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Learners:
 def train_in_run_dir(
     config: RunConfig, env: EnvBase, learners: Learners, *, policy_steps: int, identity: Mapping[str, str]
 ) -> Path:
-    """Train in ``config.run_dir``, afresh or from its newest checkpoint.
+    """Train in ``config.run_dir``: afresh, from its newest checkpoint that can be read, or from the one that is named.
 
     Args:
         config: options of the run.
@@ -53,39 +55,44 @@ def train_in_run_dir(
         Path of the last checkpoint.
 
     Raises:
-        CheckpointMismatch: if the directory holds a run that is not to be resumed, or one that does not fit.
+        CheckpointMismatch: if the directory holds a run that is not to be resumed or one that does not fit, or if
+            another process trains in it.
+        TrainingDiverged: if an update is not finite; the last checkpoint stays.
     """
     run_dir, settings = Path(config.run_dir), as_json(config)
-    resume_from = None
-    if config.resume:
-        resume_from = find_checkpoint(run_dir)
-        _check_same_run(checkpoint_info(resume_from, identity["variant"])["config"], settings, resume_from)
-    elif (run_dir / "checkpoints").exists():
-        raise CheckpointMismatch(
-            f"{run_dir} holds a run already. Continue it with --resume, or name another directory with --run-dir."
+    with only_process_in(run_dir):
+        remove_leftovers(run_dir)
+        resume_from = checkpoint_to_resume(config)
+        if resume_from is None:
+            begin_norms(env, [learners.actor, learners.critic])
+        else:
+            _check_same_run(checkpoint_info(resume_from, identity["variant"])["config"], settings, resume_from)
+            set_aside_newer(run_dir, resume_from)
+        save_config(run_dir, settings | dict(identity))
+        run = TrainingRun(
+            config.ppo,
+            policy_steps=policy_steps,
+            run_dir=run_dir,
+            metadata={**identity, "config": settings},
+            extra=learners.extra,
+            resume_from=resume_from,
         )
-    else:
-        begin_norms(env, [learners.actor, learners.critic])
-    save_config(run_dir, settings | dict(identity))
-    run = TrainingRun(
-        config.ppo,
-        policy_steps=policy_steps,
-        run_dir=run_dir,
-        metadata={**identity, "config": settings},
-        extra=learners.extra,
-        resume_from=resume_from,
-    )
-    return train_ppo(env, learners.actor, learners.critic, run)
+        return train_ppo(env, learners.actor, learners.critic, run)
 
 
 def _check_same_run(old: Mapping[str, Any], new: Mapping[str, Any], path: Path) -> None:
     """Refuse to resume with another configuration; the budget may differ too."""
-    differing = [key for key in new if key not in _FREE and key != "ppo" and old.get(key) != new[key]]
-    differing += [
-        f"ppo.{key}" for key in new["ppo"] if key != "total_control_steps" and old["ppo"].get(key) != new["ppo"][key]
-    ]
+    then, now = (_flat(settings) for settings in (old, new))
+    differing = [key for key in now if key not in _FREE and then.get(key) != now[key]]
     if differing:
+        values = ", ".join(f"{key} ({then.get(key)} then, {now[key]} now)" for key in differing)
         raise CheckpointMismatch(
-            f"{path} was trained with other values of {', '.join(differing)}; expected the same as now. Resume with "
-            "the options in config.json, or start another run with --run-dir."
+            f"{path} was trained with other values of {values}; expected the same as then. Leave these options out, "
+            "since --resume takes those of the run, or start another run with --run-dir."
         )
+
+
+def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with those of PPO as ``ppo.NAME``."""
+    ppo = settings.get("ppo", {})
+    return {key: value for key, value in settings.items() if key != "ppo"} | {f"ppo.{k}": v for k, v in ppo.items()}

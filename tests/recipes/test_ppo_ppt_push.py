@@ -116,9 +116,10 @@ def test_resuming_with_another_configuration_names_what_differs(tmp_path):
         RECIPE.train(tiny(tmp_path, resume=True, p_max=1.0))
 
 
-def test_resuming_without_a_checkpoint_says_what_was_expected(tmp_path):
-    with pytest.raises(CheckpointMismatch, match=r"no checkpoint.*expected"):
-        RECIPE.train(tiny(tmp_path, resume=True))
+def test_resuming_where_there_is_no_checkpoint_starts_afresh_and_says_so(tmp_path, capfd):
+    RECIPE.train(tiny(tmp_path, resume=True))
+    assert f"{tmp_path} holds no checkpoint yet: the run starts afresh." in capfd.readouterr().err.splitlines()
+    assert read_scalar(tmp_path, "success")[0].tolist() == [BATCH, 2 * BATCH, 3 * BATCH]
 
 
 def test_a_wrong_option_ends_with_advice_and_no_traceback(tmp_path, root):

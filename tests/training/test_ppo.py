@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from ppt_rl.modules import make_actor, make_critic
-from ppt_rl.training.loop import batch_statistics, control_steps
+from ppt_rl.training.batches import batch_statistics, control_steps
 from ppt_rl.training.ppo import Learner, PPOConfig
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import ClassVar
 
 import torch
 
 from ppt_rl.envs import MazeEnv, MazeRewards
-from ppt_rl.functional.checks import require_positive
+from ppt_rl.functional.checks import Bounds
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
@@ -63,9 +64,15 @@ class MazeConfig(TaskConfig):
         default_factory=lambda: PPOConfig(total_control_steps=614_400, max_learning_rate=5e-4, gamma=0.998)
     )
 
-    def __post_init__(self) -> None:
-        """Refuse an impossible follower."""
-        require_positive("follower_speed", self.follower_speed, "m/s")
+    bounds: ClassVar[dict[str, Bounds]] = {
+        "training_duration": Bounds(1e-3, 600.0, "s"),
+        "posture_stiffness": Bounds(0.0, 1e4, "N m/rad"),
+        "follower_speed": Bounds(1e-4, 10.0, "m/s"),
+        "follower_lead": Bounds(1e-6, 1.0, "m"),
+        "cutoff": Bounds(1e-3, 1e4, "Hz"),
+        "depth": Bounds(0.0, 1.0, "m"),
+        "max_lead": Bounds(1e-6, 10.0, "m"),
+    }
 
     @property
     def rewards(self) -> MazeRewards:
@@ -103,6 +110,15 @@ class RecedingConfig(MazeConfig):
     initial_scale: float = 0.1
     batch_steps: int = 40
 
+    bounds: ClassVar[dict[str, Bounds]] = {
+        "promp_duration": Bounds(1e-3, 600.0, "s"),
+        "replan_steps": Bounds(1, 1000, "control steps"),
+        "residual_ahead": Bounds(0.0, 10.0, "m"),
+        "residual_left": Bounds(0.0, 10.0, "m"),
+        "residual_up": Bounds(0.0, 10.0, "m"),
+        "max_slip": Bounds(0.0, 10.0, "m/s"),
+    }
+
     @property
     def residual_scale(self) -> tuple[float, float, float]:
         """Change of a weight ahead, to the left and up per unit of residual [m]."""
@@ -130,6 +146,11 @@ class StepWiseMazeConfig(MazeConfig):
     ppo: PPOConfig = field(
         default_factory=lambda: PPOConfig(total_control_steps=614_400, max_learning_rate=5e-4, gamma=0.995)
     )
+
+    bounds: ClassVar[dict[str, Bounds]] = {
+        "max_velocity": Bounds(1e-6, 100.0, "m/s"),
+        "max_rise": Bounds(1e-6, 100.0, "m/s"),
+    }
 
     @property
     def velocity(self) -> tuple[float, float, float]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from torch import nn
 from torchrl.envs import TransformedEnv
 
 from ppt_rl.envs import PushEnv
+from ppt_rl.functional.checks import Bounds
 from ppt_rl.tasks.config import TaskConfig, env_settings
 from ppt_rl.training import make_actor_critic
 
@@ -40,6 +41,8 @@ class PushConfig(TaskConfig):
     run_dir: Path = Path("runs/push")
     box_sizes: tuple[float, ...] = (0.06, 0.08)
 
+    bounds: ClassVar[dict[str, Bounds]] = {"box_sizes": Bounds(1e-3, 1.0, "m")}
+
 
 @dataclass(frozen=True)
 class EpisodeLevelConfig(PushConfig):
@@ -58,6 +61,11 @@ class EpisodeLevelConfig(PushConfig):
     residual_position: float = 0.03
     residual_yaw: float = 0.3
     initial_scale: float = 0.25
+
+    bounds: ClassVar[dict[str, Bounds]] = {
+        "residual_position": Bounds(0.0, 10.0, "m"),
+        "residual_yaw": Bounds(0.0, 10.0, "rad"),
+    }
 
     @property
     def chunk(self) -> int:
@@ -94,6 +102,13 @@ class StepWiseConfig(PushConfig):
     max_yaw_lead: float = 0.3
     initial_scale: float = 0.25
     batch_steps: int = 60
+
+    bounds: ClassVar[dict[str, Bounds]] = {
+        "max_velocity": Bounds(1e-6, 100.0, "m/s"),
+        "max_yaw_rate": Bounds(1e-6, 100.0, "rad/s"),
+        "max_lead": Bounds(1e-6, 10.0, "m"),
+        "max_yaw_lead": Bounds(1e-6, 10.0, "rad"),
+    }
 
     @property
     def velocity(self) -> tuple[float, float, float]:
