@@ -67,7 +67,8 @@ class SceneRenderer:
         cameras = [model.id2name(index, "camera") for index in range(model.ncam)]
         if camera not in cameras:
             raise ValueError(f"camera is {camera!r}; expected one of {cameras}.")
-        return self.physics.render(height=height, width=width, camera_id=camera)
+        # The renderer's picture is a view with its rows upside down, which torch does not accept.
+        return np.ascontiguousarray(self.physics.render(height=height, width=width, camera_id=camera))
 
 
 class RenderedScenes:
@@ -97,6 +98,9 @@ class RenderedScenes:
         self, index: int = 0, *, camera: str = "overview", width: int = 640, height: int = 480
     ) -> NDArray[np.uint8]:
         """Render one environment off screen.
+
+        This is what torchrl's ``PixelRenderTransform`` calls. Of a batch it shows environment 0, unless it is given
+        another ``index``.
 
         Args:
             index: environment index.
