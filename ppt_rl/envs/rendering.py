@@ -78,6 +78,7 @@ class RenderedScenes:
     engine: Any
     _scene: Callable[[], Any]
     _write_parameters: Callable[[Any, int], None]
+    _require_open: Callable[[], None]
     _rendered: SceneRenderer | None = None
 
     def physics(self, index: int = 0) -> Any:
@@ -91,6 +92,7 @@ class RenderedScenes:
 
         Raises:
             IndexError: if there is no such environment.
+            RuntimeError: if the environment is closed.
         """
         return self._showing(index).physics
 
@@ -114,13 +116,14 @@ class RenderedScenes:
         Raises:
             ValueError: if the scene has no such camera.
             IndexError: if there is no such environment.
-            RuntimeError: if no OpenGL library is found.
+            RuntimeError: if no OpenGL library is found, or the environment is closed.
         """
         require_rendering()
         return self._showing(index).picture(camera, width, height)
 
     def _showing(self, index: int) -> SceneRenderer:
         """The scene with the parameters and in the state of environment ``index``."""
+        self._require_open()
         if not 0 <= index < self.num_envs:
             raise IndexError(f"environment {index} of {self.num_envs}; expected 0 to {self.num_envs - 1}.")
         if self._rendered is None:
@@ -132,3 +135,4 @@ class RenderedScenes:
     def _free_renderer(self) -> None:
         if self._rendered is not None:
             self._rendered.physics.free()
+            self._rendered = None
