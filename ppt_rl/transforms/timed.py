@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 from torchrl.data import Composite
-from torchrl.envs import EnvBase, Transform, TransformedEnv
+from torchrl.envs import EnvBase, Transform
 from torchrl.envs.batched_envs import BatchedEnvBase
 
 from ppt_rl.functional.checks import require_positive
+from ppt_rl.transforms.workers import base_environment
 
 __all__ = ["TimedTransform", "control_step"]
 
@@ -50,7 +51,7 @@ class TimedTransform(Transform):
             return self._resolved_dt(None, "it is in no environment")
         known = parent.__dict__.get(_CACHE)
         if known is None:
-            lacking = f"{type(_base(parent)).__name__} has no attribute `control_dt`"
+            lacking = f"{type(base_environment(parent)).__name__} has no attribute `control_dt`"
             known = parent.__dict__[_CACHE] = self._resolved_dt(control_step(parent), lacking)
         return known
 
@@ -115,12 +116,6 @@ def control_step(env: EnvBase) -> float | None:
     Raises:
         ValueError: if ``control_dt`` is no positive finite number.
     """
-    env = _base(env)
+    env = base_environment(env)
     value = env.__dict__.get("control_dt") if isinstance(env, BatchedEnvBase) else getattr(env, "control_dt", None)
     return None if value is None else require_positive(f"control_dt of {type(env).__name__}", value, "s")
-
-
-def _base(env: EnvBase) -> EnvBase:
-    while isinstance(env, TransformedEnv):
-        env = env.base_env
-    return env
