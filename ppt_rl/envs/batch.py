@@ -13,6 +13,7 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
 from ppt_rl.envs.audit import AuditedPhysics
+from ppt_rl.envs.lifetime import Lifetime
 from ppt_rl.envs.models import remove_visual_geoms
 from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.envs.physics import EngineConfig, ThreadedPhysics, substeps_per_control_step
@@ -26,11 +27,13 @@ __all__ = ["BatchedEnv", "Rows"]
 Rows = NDArray[np.int64]
 
 
-class BatchedEnv(RenderedScenes, EnvBase):
+class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
     """A batch of simulated scenes, ``batch_locked``. A subclass says what they contain and what is observed.
 
     An episode is truncated after ``duration`` (or terminated, see ``horizon_terminates``), and at once where the
     physics diverges. A diverged environment keeps its last good readings, so no NaN reaches a collector.
+
+    A copy (``copy.deepcopy``, ``pickle``) continues like the original; see :class:`~ppt_rl.envs.lifetime.Lifetime`.
 
     Args:
         num_envs: number of environments.
@@ -79,6 +82,7 @@ class BatchedEnv(RenderedScenes, EnvBase):
         self._sensors = torch.zeros(self.num_envs, model.nsensordata, dtype=self.dtype)
         self._elapsed = torch.zeros(self.num_envs, 1, dtype=torch.int64)
         self._diverged = torch.zeros(self.num_envs, 1, dtype=torch.bool)
+        self._open()
         return model
 
     # -- hooks, in the order of time ----------------------------------------------------------------------------------
@@ -124,6 +128,7 @@ class BatchedEnv(RenderedScenes, EnvBase):
     # -- EnvBase ------------------------------------------------------------------------------------------------------
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        self._require_open()
         mask = None if tensordict is None else tensordict.get("_reset", None)
         every = torch.ones(self.num_envs, dtype=torch.bool)
         mask = every if mask is None else mask.reshape(self.num_envs).cpu()
@@ -133,14 +138,17 @@ class BatchedEnv(RenderedScenes, EnvBase):
             position = self._begin(index)
             self._put_sensors(rows, torch.from_numpy(self.engine.reset(index, position)).to(self.dtype))
             self._elapsed[rows] = 0
+            self._mark_begun(mask)
             self._diverged[rows] = False
         observation = self._observation()
         observation |= self._task_reset(rows)
         return self._pack(observation | self._done(self._elapsed >= self.horizon))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self._require_open()
         mask = tensordict.get("_step", None)
         mask = None if mask is None else mask.reshape(self.num_envs).cpu()
+        self._require_begun(mask)
         action = self._checked_action(tensordict.get("action"), mask)
         if mask is None:
             step = self.engine.step(action.numpy())
@@ -199,14 +207,3 @@ class BatchedEnv(RenderedScenes, EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         self._rng = np.random.default_rng(seed)
-
-    def close(self, *, raise_if_closed: bool = True) -> None:
-        """Stop the physics threads and free the renderer.
-
-        Args:
-            raise_if_closed: whether closing twice is an error.
-        """
-        if not self.is_closed:
-            self.engine.close()
-            self._free_renderer()
-        super().close(raise_if_closed=raise_if_closed)

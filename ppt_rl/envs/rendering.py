@@ -67,7 +67,8 @@ class SceneRenderer:
         cameras = [model.id2name(index, "camera") for index in range(model.ncam)]
         if camera not in cameras:
             raise ValueError(f"camera is {camera!r}; expected one of {cameras}.")
-        return self.physics.render(height=height, width=width, camera_id=camera)
+        # The renderer's picture is a view with its rows upside down, which torch does not accept.
+        return np.ascontiguousarray(self.physics.render(height=height, width=width, camera_id=camera))
 
 
 class RenderedScenes:
@@ -77,6 +78,7 @@ class RenderedScenes:
     engine: Any
     _scene: Callable[[], Any]
     _write_parameters: Callable[[Any, int], None]
+    _require_open: Callable[[], None]
     _rendered: SceneRenderer | None = None
 
     def physics(self, index: int = 0) -> Any:
@@ -90,6 +92,7 @@ class RenderedScenes:
 
         Raises:
             IndexError: if there is no such environment.
+            RuntimeError: if the environment is closed.
         """
         return self._showing(index).physics
 
@@ -97,6 +100,9 @@ class RenderedScenes:
         self, index: int = 0, *, camera: str = "overview", width: int = 640, height: int = 480
     ) -> NDArray[np.uint8]:
         """Render one environment off screen.
+
+        This is what torchrl's ``PixelRenderTransform`` calls. Of a batch it shows environment 0, unless it is given
+        another ``index``.
 
         Args:
             index: environment index.
@@ -110,13 +116,14 @@ class RenderedScenes:
         Raises:
             ValueError: if the scene has no such camera.
             IndexError: if there is no such environment.
-            RuntimeError: if no OpenGL library is found.
+            RuntimeError: if no OpenGL library is found, or the environment is closed.
         """
         require_rendering()
         return self._showing(index).picture(camera, width, height)
 
     def _showing(self, index: int) -> SceneRenderer:
         """The scene with the parameters and in the state of environment ``index``."""
+        self._require_open()
         if not 0 <= index < self.num_envs:
             raise IndexError(f"environment {index} of {self.num_envs}; expected 0 to {self.num_envs - 1}.")
         if self._rendered is None:
@@ -128,3 +135,4 @@ class RenderedScenes:
     def _free_renderer(self) -> None:
         if self._rendered is not None:
             self._rendered.physics.free()
+            self._rendered = None

@@ -12,6 +12,7 @@ from ppt_rl.transforms.heading_frame import HeadingFrameTransform
 from ppt_rl.transforms.impedance import ImpedanceTransform
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from ppt_rl.transforms.macro_step import MacroStepTransform
+from ppt_rl.transforms.pd_tracking import PDTrackingTransform
 from ppt_rl.transforms.power_limit import PowerLimitTransform
 from ppt_rl.transforms.promp import ProMPTransform
 from ppt_rl.transforms.receding_promp import RecedingKeys, RecedingProMPTransform
@@ -26,6 +27,7 @@ __all__ = [
     "ImpedanceTransform",
     "JointTorqueTransform",
     "MacroStepTransform",
+    "PDTrackingTransform",
     "PowerLimitTransform",
     "ProMPTransform",
     "RecedingKeys",

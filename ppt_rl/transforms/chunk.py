@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase, is_non_tensor
 from tensordict.utils import NestedKey, expand_as_right
 from torch import Tensor
 
@@ -116,7 +116,7 @@ def carried(current: TensorDictBase, following: TensorDictBase, state_keys: Sequ
     return following
 
 
-def where(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:
+def where(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDictBase:
     """Entries of ``new`` in some environments, of ``old`` in the others.
 
     Args:
@@ -125,11 +125,19 @@ def where(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:
         old: a tensordict.
 
     Returns:
-        Every entry that both have.
+        Every entry that both have. What is no tensor, such as a picture, has no rows and is that of ``new``.
     """
-    return new._fast_apply(
-        lambda a, b: torch.where(expand_as_right(rows, a), a, b), old.select(*new.keys(True, True), strict=False)
-    )
+    merged = new.empty()
+    for key, value in new.items():
+        other = old.get(key, None)
+        if isinstance(value, Tensor) and other is not None:
+            value = torch.where(expand_as_right(rows, value), value, other)
+        elif isinstance(value, TensorDictBase) and other is not None:
+            value = where(rows, value, other)
+        elif not is_non_tensor(value):
+            continue
+        merged.set(key, value)
+    return merged
 
 
 def _masked(value: Tensor, alive: Tensor | None) -> Tensor:

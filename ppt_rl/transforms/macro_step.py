@@ -12,8 +12,10 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 
 from ppt_rl.functional.checks import require_finite
 from ppt_rl.transforms.base import ActionTransform
+from ppt_rl.transforms.chain import base_of
 from ppt_rl.transforms.chunk import ChunkMemory, carried, trace_key, where
-from ppt_rl.transforms.specs import replace_leaf, set_leaf
+from ppt_rl.transforms.specs import nest_of, replace_leaf, set_leaf
+from ppt_rl.transforms.workers import steps_whole_workers, whole_workers
 
 __all__ = ["MacroStepTransform"]
 
@@ -23,6 +25,8 @@ _SUMMED = "_keys_summed_by_macro_step"
 
 class MacroStepTransform(ActionTransform):
     r"""Executes a chunk of actions, ``(*B, N, A)``, as one step of the outer environment.
+
+    An action in a nest, such as that of several agents, keeps the shape of its nest: ``(*B, agents, N, A)``.
 
     Transforms appended before it run at control rate, those appended after it once per chunk. Unlike torchrl's
     ``MultiAction`` it aggregates rewards, keeps all shapes uniform, and freezes environments that end inside the chunk.
@@ -37,6 +41,10 @@ class MacroStepTransform(ActionTransform):
     stepping, for the others, and continues from there at its next policy step. If every environment ends before the
     chunk does, the base environment is stepped once more and its answer discarded. If all wait and no episode is over,
     those that were interrupted last execute one more control step.
+
+    Over ``SerialEnv`` or ``ParallelEnv`` it works too; where a worker holds several environments, which only step
+    together, those that have ended move on unseen until the others have. Inside the workers it saves that, and most of
+    the communication.
 
     Args:
         num_steps: N; None leaves it to the transform that makes the chunk.
@@ -77,7 +85,7 @@ class MacroStepTransform(ActionTransform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.parent is None:
             raise RuntimeError("MacroStepTransform steps an environment and has none; append it to a TransformedEnv.")
-        steps = self._checked_chunk(tensordict).unbind(tensordict.ndim)
+        steps = self._checked_chunk(tensordict).unbind(nest_of(tensordict, self.action_key).ndim)
         memory = ChunkMemory(tensordict, len(steps), self.discount, self._sum_keys(), self.trace_keys)
         memory.alive = self._allowed(tensordict)
         current, last, spare = self._all_but_last(tensordict, steps, memory)
@@ -88,7 +96,7 @@ class MacroStepTransform(ActionTransform):
             tensordict.set("_step", spare)
             memory.alive = torch.zeros_like(spare)
         elif memory.alive is not None and bool(memory.alive.any()):
-            tensordict.set("_step", memory.alive)
+            tensordict.set("_step", whole_workers(self.parent, memory.alive))
         else:
             tensordict.pop("_step", None)
         return tensordict.set_non_tensor(_MEMORY, memory)
@@ -108,15 +116,15 @@ class MacroStepTransform(ActionTransform):
             current.set(self.action_key, action)
             alive = memory.alive
             if alive is not None:
-                current.set("_step", alive)
+                current.set("_step", whole_workers(parent, alive))
             following = parent._step(current)
             frozen = memory.freeze(following)
             memory.add(following)
-            ended = self._ended(following).reshape(tensordict.batch_size)
+            ended = self._ended(following)
             if bool(ended.any()):
                 memory.alive = ~ended if alive is None else alive & ~ended
                 if not bool(memory.alive.any()):
-                    done = frozen.get("done").reshape(tensordict.batch_size)
+                    done = self._done(frozen)
                     if self.interrupt_key is None or bool(done.all()):
                         current = carried(current, following.copy(), state_keys)
                         break
@@ -140,25 +148,45 @@ class MacroStepTransform(ActionTransform):
             tensordict_reset.set(key, zero)
         return tensordict_reset
 
+    # -- environments -------------------------------------------------------------------------------------------------
+
+    def _done(self, following: TensorDictBase) -> Tensor:
+        """Environments whose episode is over, ``(*B,)``; without a flag at the root, one done agent ends it for all."""
+        done = following.get("done", None)
+        if done is not None:
+            return done.reshape(following.batch_size)
+        nested = [key for key in self.parent.done_keys if isinstance(key, tuple) and key[-1] == "done"]
+        return torch.stack([following.get(key).flatten(following.ndim).any(-1) for key in nested]).any(0)
+
     def _ended(self, following: TensorDictBase) -> Tensor:
-        """Environments whose chunk is over, ``(*B, 1)``."""
-        done = following.get("done")
-        return done if self.interrupt_key is None else done | following.get(self.interrupt_key)
+        """Environments whose chunk is over, ``(*B,)``."""
+        done = self._done(following)
+        if self.interrupt_key is None:
+            return done
+        return done | following.get(self.interrupt_key).reshape(following.batch_size)
 
     def _allowed(self, tensordict: TensorDictBase) -> Tensor | None:
         """Environments that the caller lets step, ``(*B,)``; None stands for all of them."""
         mask = self._stepping(tensordict)
-        return None if mask is None or bool(mask.all()) else mask
+        if mask is None or bool(mask.all()):
+            return None
+        if not torch.equal(mask, whole_workers(self.parent, mask)):
+            owner = type(base_of(self.parent)).__name__
+            raise ValueError(
+                f"the _step mask is {mask.tolist()}, but {owner} steps whole workers only. Put MacroStepTransform into "
+                "the workers."
+            )
+        return mask
 
     def _checked_chunk(self, tensordict: TensorDictBase) -> Tensor:
         (chunk,) = self._require(tensordict, self.action_key)
-        ndim = tensordict.ndim
-        length = chunk.shape[ndim] if chunk.ndim > ndim + 1 else 0
+        batch = nest_of(tensordict, self.action_key).shape
+        length = chunk.shape[len(batch)] if chunk.ndim > len(batch) + 1 else 0
         if length == 0 or (self.num_steps is not None and length != self.num_steps):
             wanted = "N" if self.num_steps is None else self.num_steps
             raise ValueError(
-                f"action has shape {tuple(chunk.shape)}; expected a chunk ({', '.join(map(str, tensordict.shape))}, "
-                f"{wanted}, A) of at least one action."
+                f"action has shape {tuple(chunk.shape)}; expected a chunk ({', '.join(map(str, batch))}, {wanted}, A) "
+                "of at least one action."
             )
         require_finite("action (chunk)", chunk)
         return chunk
@@ -177,7 +205,22 @@ class MacroStepTransform(ActionTransform):
             keys = parent.__dict__[_SUMMED] = [*parent.reward_keys, *names]
         return keys
 
+    def _check_parent(self) -> None:
+        """Refuse an environment that chunks of this action cannot be executed on."""
+        if self.interrupt_key is not None and steps_whole_workers(self.parent):
+            owner = type(base_of(self.parent)).__name__
+            raise ValueError(
+                f"interrupt_key is {self.interrupt_key!r}, but {owner} steps whole workers of "
+                f"{self.parent.batch_size[1:].numel()} environments, of which none can wait. Put MacroStepTransform "
+                "into the workers."
+            )
+        keys = list(self.parent.full_action_spec.keys(True, True))
+        others = [key for key in keys if key != self.action_key]
+        if len(others) not in (0, len(keys)):
+            raise ValueError(f"MacroStepTransform makes chunks of {self.action_key!r} alone; expected no {others}.")
+
     def _outputs(self) -> dict[NestedKey, TensorSpec]:
+        self._check_parent()
         parent = self.parent
         batch, device = parent.batch_size, parent.device
         outputs: dict[NestedKey, TensorSpec] = {
@@ -201,9 +244,9 @@ class MacroStepTransform(ActionTransform):
         return observation_spec
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """Outside, the action is a chunk, with a dimension of control steps after the batch."""
+        """Outside, the action is a chunk, with a dimension of control steps after the batch of its nest."""
         like = action_spec[self.action_key]
-        ndim = len(self.parent.batch_size)
+        ndim = nest_of(action_spec, self.action_key).ndim
         length = -1 if self.num_steps is None else self.num_steps
         spec = like.unsqueeze(ndim).expand(*like.shape[:ndim], length, *like.shape[ndim:])
         return replace_leaf(action_spec, self.action_key, spec, type(self).__name__)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from tensordict.utils import NestedKey, unravel_key
 from torchrl.data import Composite, TensorSpec, Unbounded
 
-__all__ = ["real", "replace_leaf", "set_leaf"]
+__all__ = ["nest_of", "real", "replace_leaf", "set_leaf"]
 
 
 def real(like: TensorSpec, *shape: int) -> Unbounded:
@@ -21,6 +22,20 @@ def real(like: TensorSpec, *shape: int) -> Unbounded:
         The spec, without bounds.
     """
     return Unbounded(shape=shape, dtype=like.dtype, device=like.device)
+
+
+def nest_of(root: Any, key: NestedKey) -> Any:
+    """The nest that an entry lies in.
+
+    Args:
+        root: a tensordict or composite spec.
+        key: of the entry.
+
+    Returns:
+        The nested tensordict or spec; the root itself for an entry at the root.
+    """
+    key = unravel_key(key)
+    return root[key[:-1]] if isinstance(key, tuple) else root
 
 
 def replace_leaf(spec: Composite, key: NestedKey, leaf: TensorSpec, owner: str) -> Composite:

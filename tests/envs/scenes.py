@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes.util
 from typing import Any
 
 import mujoco
 import numpy as np
+import pytest
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -18,6 +20,11 @@ from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.impedance import ImpedanceTransform
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
 
+#: A test that needs pictures.
+opengl = pytest.mark.skipif(
+    not (ctypes.util.find_library("EGL") or ctypes.util.find_library("OSMesa")),
+    reason="no OpenGL library for off-screen rendering: neither EGL nor OSMesa",
+)
 #: Mid-air, in front of the arm, tool down.
 MID_AIR = (0.45, 0.0, 0.35, 0.0, 1.0, 0.0, 0.0)
 

@@ -1,4 +1,3 @@
-import ctypes.util
 import os
 import subprocess
 import sys
@@ -9,13 +8,9 @@ import torch
 from torch.testing import assert_close
 
 from ppt_rl.envs import EngineConfig, PandaEnv, PandaPushEnv
-from tests.envs.scenes import act, forwarded, torques
+from tests.envs.scenes import act, forwarded, opengl, torques
 
 F64 = torch.float64
-opengl = pytest.mark.skipif(
-    not (ctypes.util.find_library("EGL") or ctypes.util.find_library("OSMesa")),
-    reason="no OpenGL library for off-screen rendering: neither EGL nor OSMesa",
-)
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------------

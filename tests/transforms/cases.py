@@ -24,6 +24,7 @@ from ppt_rl.transforms import (
     ImpedanceTransform,
     JointTorqueTransform,
     MacroStepTransform,
+    PDTrackingTransform,
     PowerLimitTransform,
     ProMPTransform,
     RecedingKeys,
@@ -167,6 +168,11 @@ CASES: dict[str, Case] = {
         lambda **kwargs: MacroStepTransform(3, **{"discount": 0.9, "trace_keys": ["joint_velocity"], **kwargs}),
         outer=(3, 7),
         written=("control_steps", ("trace", "joint_velocity")),
+        nested=_ACTION,
+    ),
+    "PDTrackingTransform": Case(
+        lambda **kwargs: PDTrackingTransform(20.0, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], continuous=(6,), **kwargs),
+        outer=(14,),
         nested=_ACTION,
     ),
     "PowerLimitTransform": Case(

@@ -185,6 +185,63 @@ class NestedEffortEnv(EnvBase):
         self._generator = torch.Generator().manual_seed(seed or 0)
 
 
+class AgentsEnv(EnvBase):
+    """Two agents whose twist, action and reward lie under ``agents``, a nest with a dimension of its own.
+
+    The reward of an agent is the mean of its twist plus its number. Rows outside a ``_step`` mask move too.
+
+    Args:
+        batch_size: batch-locked batch.
+        horizons: steps after which the rows are done; repeated over the batch.
+        nested_done: whether the flags lie under ``agents`` too, where only the last agent's becomes True, and only that
+            agent is then reset.
+    """
+
+    control_dt = 0.01
+
+    def __init__(
+        self, batch_size: Sequence[int] = (3,), *, horizons: Sequence[int] = (6,), nested_done: bool = False
+    ) -> None:
+        super().__init__(device=torch.device("cpu"), batch_size=torch.Size(batch_size))
+        rows = self.batch_size.numel()
+        self.ends = torch.tensor([horizons[i % len(horizons)] for i in range(rows)]).reshape(*self.batch_size, 1)
+        self.nested_done, self.nest = nested_done, (*self.batch_size, 2)
+
+        def nested(**leaves: Unbounded | Binary) -> Composite:
+            return Composite({"agents": Composite(leaves, shape=self.nest)}, shape=self.batch_size)
+
+        real = Unbounded(shape=(*self.nest, 6))
+        self.observation_spec = nested(twist=real, executed=real, count=Unbounded(shape=(*self.nest, 1)))
+        self.action_spec = nested(action=real)
+        self.reward_spec = nested(reward=Unbounded(shape=(*self.nest, 1)))
+        flags = {name: Binary(shape=(*self.nest, 1), dtype=torch.bool) for name in ("done", "terminated")}
+        if nested_done:
+            self.done_spec = nested(**flags)
+        self.set_seed(0)
+
+    def _pack(self, **agents: Tensor) -> TensorDict:
+        done = agents["count"][..., -1, :] >= self.ends
+        flags = {"done": done, "terminated": done.clone()}
+        if self.nested_done:
+            last = torch.tensor([[False], [True]])
+            agents |= {name: flag.unsqueeze(-2) & last for name, flag in flags.items()}
+        nest = TensorDict({key: value.clone() for key, value in agents.items()}, self.nest)
+        return TensorDict({"agents": nest, **({} if self.nested_done else flags)}, self.batch_size)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        twist = torch.randn(*self.nest, 6, generator=self._generator)
+        return self._pack(count=torch.zeros(*self.nest, 1), twist=twist, executed=torch.zeros_like(twist))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        action = tensordict["agents", "action"]
+        twist = 0.9 * tensordict["agents", "twist"] + 0.1 * action
+        reward = twist.mean(-1, keepdim=True) + torch.tensor([[1.0], [2.0]])
+        return self._pack(count=tensordict["agents", "count"] + 1, twist=twist, executed=action, reward=reward)
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._generator = torch.Generator().manual_seed(seed or 0)
+
+
 class ScriptedEnv(EnvBase):
     """Observations that follow a script whatever the actions; the reward is 1, the last step of the script is done.
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,13 @@ from ppt_rl.arms import PANDA, Arm
 from ppt_rl.envs.arm import ArmEnv, Rows
 from ppt_rl.envs.maze import rewards as reward
 from ppt_rl.envs.maze.episode import MazeEnd, MazeEpisodes, MazePosition
-from ppt_rl.envs.maze.feasibility import check_corridor
 from ppt_rl.envs.maze.geometry import build_corridor
 from ppt_rl.envs.maze.layout import MazeLayout
 from ppt_rl.envs.maze.rewards import MazeRewards
-from ppt_rl.envs.maze.sampling import MazeRanges, StraightRanges, random_maze, random_straight
-from ppt_rl.envs.maze.scene import check_pieces, maze_scene, write_corridor
-from ppt_rl.envs.maze.start import MazeRandomisation, check_start, draw_start
+from ppt_rl.envs.maze.sampling import MazeRanges, StraightRanges
+from ppt_rl.envs.maze.scene import maze_scene, write_corridor
+from ppt_rl.envs.maze.source import GivenMazes, RandomMazes, RandomStraights, Source
+from ppt_rl.envs.maze.start import MazeRandomisation, draw_start
 from ppt_rl.envs.models import CYLINDER
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
@@ -33,8 +32,6 @@ __all__ = ["MazeEnv"]
 _TRAINING_HEADING = (-0.9, 0.9)
 #: Random streams: with the same seed, training and test draw different numbers.
 _STRAIGHT_STREAM, _MAZE_STREAM = 0, 1
-
-Source = Callable[[np.random.Generator], MazeLayout]
 
 
 class MazeEnv(ArmEnv):
@@ -114,7 +111,7 @@ class MazeEnv(ArmEnv):
             The environment. None of its corridors has a turn.
         """
         kwargs.setdefault("randomisation", MazeRandomisation(heading_error=_TRAINING_HEADING))
-        return cls(num_envs, lambda rng: random_straight(rng, ranges, arm), stream=_STRAIGHT_STREAM, arm=arm, **kwargs)
+        return cls(num_envs, RandomStraights(ranges, arm), stream=_STRAIGHT_STREAM, arm=arm, **kwargs)
 
     @classmethod
     def mazes(cls, num_envs: int = 1, *, ranges: MazeRanges | None = None, arm: Arm = PANDA, **kwargs: Any) -> MazeEnv:
@@ -129,7 +126,7 @@ class MazeEnv(ArmEnv):
         Returns:
             The environment.
         """
-        return cls(num_envs, lambda rng: random_maze(rng, ranges, arm), arm=arm, **kwargs)
+        return cls(num_envs, RandomMazes(ranges, arm), arm=arm, **kwargs)
 
     @classmethod
     def of(
@@ -149,16 +146,8 @@ class MazeEnv(ArmEnv):
         Raises:
             ValueError: if there is no layout, or one cannot be driven through.
         """
-        if not layouts:
-            raise ValueError("layouts is empty; expected at least one MazeLayout.")
-        for layout in layouts:
-            corridor = build_corridor(layout)
-            check_corridor(corridor, layout, arm.reach)
-            check_pieces(corridor)
-            check_start(layout)
-        endless = itertools.cycle(layouts)
-        count = len(layouts) if num_envs is None else num_envs
-        return cls(count, lambda _: next(endless), arm=arm, **kwargs)
+        source = GivenMazes(layouts, arm)
+        return cls(len(layouts) if num_envs is None else num_envs, source, arm=arm, **kwargs)
 
     # -- episode ------------------------------------------------------------------------------------------------------
 

@@ -21,6 +21,8 @@ _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 class ThreadedPhysics:
     """An engine on CPU threads, which run without Python's global interpreter lock.
 
+    A copy (``copy.deepcopy``, ``pickle``) is an engine of its own in the same state; that of a closed one is closed.
+
     Args:
         model: compiled model; every environment gets a copy.
         num_envs: number of environments.
@@ -34,15 +36,19 @@ class ThreadedPhysics:
         self.substeps = substeps
         self.num_threads = min(num_envs, num_threads or len(os.sched_getaffinity(0)))
         self.models: list[Any] = [copy.copy(model) for _ in range(num_envs)]
+        self._state = np.zeros((num_envs, mujoco.mj_stateSize(model, _STATE)))
+        self._start()
+
+    def _start(self) -> None:
+        """Start the threads and allocate what holds nothing from one call to the next."""
+        model, shape = self.models[0], (self.num_envs, self.substeps)
         self._dt = model.opt.timestep
         self._data = [mujoco.MjData(model) for _ in range(max(1, self.num_threads))]
         # The pool does not count the calling thread, so one thread in all means no pool.
         self._pool = rollout.Rollout(nthread=self.num_threads if self.num_threads > 1 else 0)
-        size = mujoco.mj_stateSize(model, _STATE)
-        self._state = np.zeros((num_envs, size))
-        self._states = np.zeros((num_envs, substeps, size))
-        self._sensors = np.zeros((num_envs, substeps, model.nsensordata))
-        self._control = np.zeros((num_envs, substeps, model.nu))
+        self._states = np.zeros((*shape, self._state.shape[-1]))
+        self._sensors = np.zeros((*shape, model.nsensordata))
+        self._control = np.zeros((*shape, model.nu))
 
     def reset(self, rows: NDArray[np.int64], joint_position: Array) -> Array:
         """See :meth:`PhysicsEngine.reset`."""
@@ -87,3 +93,17 @@ class ThreadedPhysics:
     def close(self) -> None:
         """Stop the threads."""
         self._pool.close()
+        self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy takes along: the models with their parameters and the states, but no thread."""
+        kept = ("num_envs", "substeps", "num_threads", "models", "_state")
+        return {name: getattr(self, name) for name in kept} | {"open": self._pool is not None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Continue from the models and states of another engine, on threads of its own."""
+        is_open = state.pop("open")
+        self.__dict__.update(state)
+        self._pool = None
+        if is_open:
+            self._start()

@@ -12,7 +12,7 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from ppt_rl.envs import MazeLayout, MazeRanges, MazeRewards, PandaMazeEnv, StraightRanges
-from ppt_rl.envs.maze import env as maze_env
+from ppt_rl.envs.maze import source as maze_source
 from ppt_rl.envs.maze.layout import Disc, Straight, Turn, paper_layout
 from tests.engines import COARSE
 from tests.envs.maze.mazes import LEVEL, SHORT, drag, layouts_of
@@ -65,8 +65,8 @@ def test_training_and_test_draw_different_numbers_with_the_same_seed(monkeypatch
         numbers.append(rng.uniform())
         return LEVEL
 
-    monkeypatch.setattr(maze_env, "random_straight", record)
-    monkeypatch.setattr(maze_env, "random_maze", record)
+    monkeypatch.setattr(maze_source, "random_straight", record)
+    monkeypatch.setattr(maze_source, "random_maze", record)
     for make in MAKES:
         make(4, **FAST).reset()
     assert len(set(numbers)) == 8
