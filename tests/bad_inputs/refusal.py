@@ -1,0 +1,123 @@
+"""How an input was refused: runs an entry under a time limit and checks the form of the refusal."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import resource
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType, TracebackType
+
+import ppt_rl
+from ppt_rl import cli
+from ppt_rl.training import CheckpointMismatch
+from tests.bad_inputs.entry import BadCommand, BadInput
+
+__all__ = ["SECONDS", "command_refusal", "input_refusal"]
+
+#: An input must be refused within this time [s], and with at most this much more memory [bytes].
+SECONDS, MEMORY = 5.0, 2 << 30
+_HOME = Path(ppt_rl.__file__).resolve().parent
+_OURS = (_HOME, _HOME.parent / "recipes")
+#: What a refusal may be; a subclass of RuntimeError only if it is ours.
+_KINDS = (ValueError, KeyError, TypeError, CheckpointMismatch)
+#: What says how to go on: what was expected, or an imperative at the beginning of a sentence or clause.
+_VERBS = (
+    "Add|Append|Change|Choose|Continue|Give|Install|Lea(?:ve|rn)|Look|Make|Move|Name|Pass|Put|Raise|Remove|Repair|Run|"
+    "Set|Shorten|Take|Train|Use|Widen|Write"
+)
+_ADVICE = re.compile(rf"\bexpected\b|(?:^|[.;:,] )(?:{_VERBS})\b|; (?:{_VERBS.lower()})\b")
+
+
+class TooSlow(BaseException):
+    """An entry took too long; no handler of ordinary errors catches it."""
+
+
+def input_refusal(entry: BadInput) -> str:
+    """The message with which a bad input is refused, after its form was checked.
+
+    Args:
+        entry: the entry.
+    """
+    try:
+        with _bounded():
+            entry.make()
+    except _KINDS as error:
+        message = str(error.args[0] if error.args else error)
+        own = type(error).__module__.startswith("ppt_rl")
+        assert own or _raised_by_us(error.__traceback__), f"raised outside of ppt_rl: {message}"
+    except TooSlow:
+        raise AssertionError(f"not refused within {SECONDS:g} s") from None
+    else:
+        raise AssertionError("silently accepted")
+    return _checked(message)
+
+
+def command_refusal(entry: BadCommand, tmp: Path) -> str:
+    """What a bad command line prints on standard error, after its form was checked.
+
+    Args:
+        entry: the entry.
+        tmp: folder of broken files.
+    """
+    args = ["ppt-rl", *(arg.replace("{tmp}", str(tmp)) for arg in entry.args)]
+    out, err, old = io.StringIO(), io.StringIO(), sys.argv
+    status: object = None
+    try:
+        sys.argv = args
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.chdir(tmp), _bounded():
+            cli.main()
+    except SystemExit as end:
+        status = end.code
+    except TooSlow:
+        raise AssertionError(f"not refused within {SECONDS:g} s") from None
+    finally:
+        sys.argv = old
+    text = err.getvalue()
+    assert status is not None, f"silently accepted; it printed {out.getvalue()!r}"
+    assert status == 2, f"status {status}: {text}"
+    assert "Traceback" not in text
+    if "╭" in text:  # tyro's frame around an option that it does not know, or a value that is of another type
+        return " ".join(text.split())
+    lines = [line for line in text.splitlines() if line.strip()]
+    assert len(lines) == 1, f"{len(lines)} lines: {text}"
+    return _checked(lines[0])
+
+
+def _checked(message: str) -> str:
+    assert "\n" not in message.strip(), f"several lines: {message}"
+    assert _ADVICE.search(message), f"the message does not say what was expected or what to do: {message}"
+    return message
+
+
+def _raised_by_us(traceback: TracebackType | None) -> bool:
+    """Whether the innermost frame is in a file of the library."""
+    assert traceback is not None
+    while traceback.tb_next is not None:
+        traceback = traceback.tb_next
+    file = Path(traceback.tb_frame.f_code.co_filename).resolve()
+    return any(home in file.parents for home in _OURS)
+
+
+@contextlib.contextmanager
+def _bounded() -> Iterator[None]:
+    """Limits time and memory of what runs inside."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise TooSlow
+
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    handler = signal.signal(signal.SIGALRM, stop)
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, limits[1]))
+    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+        signal.signal(signal.SIGALRM, handler)
