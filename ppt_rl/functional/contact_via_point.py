@@ -11,13 +11,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ppt_rl.functional.checks import (
-    require_in_range,
-    require_last_dim,
-    require_numbers,
-    require_positive,
-    require_whole,
-)
+from ppt_rl.functional.argument_checks import require_in_range, require_numbers, require_whole
+from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.contact import WallContact
 
 __all__ = ["ContactViaPoints", "ViaPointConfig", "begin_via_points", "update_via_points"]

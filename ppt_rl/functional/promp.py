@@ -7,7 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ppt_rl.functional.checks import require_instance, require_last_dim, require_positive, require_whole
+from ppt_rl.functional.argument_checks import require_instance, require_whole
+from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.shape_checks import require_bool, require_same_batch, require_trailing
 
 __all__ = [

@@ -7,7 +7,8 @@ import math
 import torch
 from torch import Tensor
 
-from ppt_rl.functional.checks import require_positive, require_whole
+from ppt_rl.functional.argument_checks import require_whole
+from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.promp import Gaussian, unvec, vec
 from ppt_rl.functional.shape_checks import require_bool, require_trailing
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ppt_rl.functional.checks import require_instance, require_last_dim
+from ppt_rl.functional.argument_checks import require_instance
+from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.shape_checks import require_same_batch, require_trailing
 
 __all__ = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ppt_rl.functional.checks import require_instance
+from ppt_rl.functional.argument_checks import require_instance
 
 __all__ = ["require_bool", "require_same_batch", "require_trailing"]
 

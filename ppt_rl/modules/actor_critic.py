@@ -12,7 +12,8 @@ from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
 
-from ppt_rl.functional.checks import require_positive, require_whole
+from ppt_rl.functional.argument_checks import require_whole
+from ppt_rl.functional.checks import require_positive
 
 __all__ = ["HIDDEN", "InputNorm", "Mirror", "make_actor", "make_critic", "update_input_norm"]
 

@@ -10,14 +10,8 @@ from pytorch_kinematics.frame import Frame, Joint, Link
 from torch import Tensor, nn
 
 from ppt_rl.arms import Arm
-from ppt_rl.functional.checks import (
-    require_finite,
-    require_in_range,
-    require_instance,
-    require_last_dim,
-    require_positive,
-    require_whole,
-)
+from ppt_rl.functional.argument_checks import require_in_range, require_instance, require_whole
+from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
 from ppt_rl.functional.impedance import orientation_error
 from ppt_rl.functional.rotations import matrix_to_quat
 

@@ -8,14 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from ppt_rl.functional import promp as law
-from ppt_rl.functional.checks import (
-    require_finite,
-    require_instance,
-    require_last_dim,
-    require_numbers,
-    require_positive,
-    require_whole,
-)
+from ppt_rl.functional.argument_checks import require_instance, require_numbers, require_whole
+from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
 from ppt_rl.functional.promp_fit import fit_em, fit_ridge
 from ppt_rl.functional.shape_checks import require_bool, require_trailing
 

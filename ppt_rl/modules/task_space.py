@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from ppt_rl.functional.checks import require_last_dim, require_numbers
+from ppt_rl.functional.argument_checks import require_numbers
+from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.rotations import quat_conjugate, quat_from_yaw, quat_multiply, yaw_from_quat
 
 __all__ = ["TaskSpace"]

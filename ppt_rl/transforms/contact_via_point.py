@@ -7,7 +7,8 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Binary, TensorSpec
 
-from ppt_rl.functional.checks import require_instance, require_positive
+from ppt_rl.functional.argument_checks import require_instance
+from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.contact import WallTouch, is_touching, wall_contact
 from ppt_rl.functional.contact_via_point import (
     ContactViaPoints,

@@ -8,7 +8,8 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import TensorSpec
 
-from ppt_rl.functional.checks import require_instance, require_last_dim, require_positive
+from ppt_rl.functional.argument_checks import require_instance
+from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.contact import WallTouch, wall_contact
 from ppt_rl.functional.heading import follow_heading, to_heading
 from ppt_rl.transforms.base import Entries, ObserverTransform

@@ -8,7 +8,8 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import TensorSpec
 
-from ppt_rl.functional.checks import require_in_range, require_instance, require_positive
+from ppt_rl.functional.argument_checks import require_in_range, require_instance
+from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.impedance import power
 from ppt_rl.transforms.base import Entries, ObserverTransform
 from ppt_rl.transforms.specs import real

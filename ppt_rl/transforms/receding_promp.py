@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
-from ppt_rl.functional.checks import require_in_range, require_instance, require_numbers
+from ppt_rl.functional.argument_checks import require_in_range, require_instance, require_numbers
 from ppt_rl.functional.heading import from_heading, to_heading
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace

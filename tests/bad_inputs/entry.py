@@ -61,7 +61,8 @@ def bad(call: Callable[..., object], match: str, *args: Any, pending: bool = Fal
         **kwargs: further arguments of the call.
     """
     shown = [_short(value) for value in args] + [f"{name}={_short(value)}" for name, value in kwargs.items()]
-    return BadInput(f"{getattr(call, '__qualname__', type(call).__name__)}({', '.join(shown)})", partial(call, *args, **kwargs), match, pending)
+    name = getattr(call, "__qualname__", type(call).__name__)
+    return BadInput(f"{name}({', '.join(shown)})", partial(call, *args, **kwargs), match, pending)
 
 
 def each(
@@ -106,4 +107,4 @@ def _short(value: object) -> str:
     if isinstance(value, torch.Tensor):
         return f"tensor{tuple(value.shape)}" + ("" if value.is_floating_point() else f" of {value.dtype}")
     text = " ".join(repr(value).split())
-    return re.sub(r" at 0x[0-9a-f]+", "", text if len(text) <= 60 else f"{text[:57]}...")
+    return re.sub(r" at 0x[0-9a-fA-F]+", "", text if len(text) <= 60 else f"{text[:57]}...")

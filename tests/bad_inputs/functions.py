@@ -7,6 +7,8 @@ import math
 import torch
 
 from ppt_rl.functional import (
+    MetricsConfig,
+    ViaPointConfig,
     begin_metrics,
     cartesian_impedance,
     critical_damping,
@@ -34,7 +36,6 @@ from ppt_rl.functional.rotations import (
     vee,
     yaw_from_quat,
 )
-from ppt_rl.functional import MetricsConfig, ViaPointConfig
 from tests.bad_inputs.entry import bad, each
 
 __all__ = ["ENTRIES"]
@@ -114,8 +115,11 @@ _PRIMITIVES = [
     bad(law.block_diagonal, r"blocks has shape \(3,\)", torch.zeros(3)),
 ]
 _DEMONSTRATIONS = [
-    bad(fit_ridge, r"trajectories has shape \(5, 2\); expected \(N, T, D\)", torch.zeros(5, 2), torch.zeros(5, 4), 1e-6),
-    bad(fit_ridge, r"basis_matrix has shape \(6, 4\); expected \(\*batch, 5, K\)", torch.zeros(3, 5, 2), torch.zeros(6, 4), 1e-6),
+    bad(fit_ridge, r"trajectories has shape \(5, 2\); expected \(N, T, D\)", torch.zeros(5, 2), torch.ones(5, 4), 1e-6),
+    bad(
+        fit_ridge, r"basis_matrix has shape \(6, 4\); expected \(\*batch, 5, K\)",
+        torch.zeros(3, 5, 2), torch.zeros(6, 4), 1e-6,
+    ),
     *each(
         fit_ridge, "ridge", (0.0, -1.0, math.nan, "small"), "{name} is {value}; expected a finite number above 0",
         torch.ones(3, 5, 2), torch.ones(5, 4),

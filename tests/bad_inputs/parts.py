@@ -176,7 +176,10 @@ _ARMS = [
     _arm("reach is 0.5; expected", reach=0.5),
     _arm(r"apparent_inertia is \(1.0, 1.0\); expected six", apparent_inertia=(1.0, 1.0)),
     _arm("mass of the links: .*-1.0", links=(PANDA.links[0]._replace(mass=-1.0), *PANDA.links[1:])),
-    _arm("link 1 is .*nan.*; expected finite numbers for its com", links=(PANDA.links[0]._replace(com=(math.nan, 0, 0)), *PANDA.links[1:])),
+    _arm(
+        "link 1 is .*nan.*; expected finite numbers for its com",
+        links=(PANDA.links[0]._replace(com=(math.nan, 0, 0)), *PANDA.links[1:]),
+    ),
     _arm(r"shells belong to the links \[9\]; expected 0", shells=(PANDA.shells[0]._replace(link=9),)),
     _arm("the shape of a shell is 'ball'; expected one of", shells=(PANDA.shells[0]._replace(shape="ball"),)),
     _arm("radius of the shells: .*-0.1", shells=(PANDA.shells[0]._replace(radius=-0.1),)),
