@@ -18,30 +18,30 @@ from tqdm import tqdm
 from ppt_rl.functional.argument_checks import require_whole
 from ppt_rl.transforms.macro_step import MacroStepTransform
 
-__all__ = ["Rows", "ZeroPolicy", "record_episodes", "require_episodes", "run_episodes"]
+__all__ = ["Rows", "ZeroPolicy", "record_episodes", "require_run_options", "run_episodes"]
 
 #: One value per episode, by metric.
 Rows = dict[str, NDArray[Any]]
 
 
-#: Largest number of episodes: the rows of all of them are kept in memory.
-_MOST = 1_000_000
+#: Largest number of episodes, whose rows are all kept in memory, of environments that step together, and largest seed.
+_MOST, _MOST_ENVS, _LARGEST_SEED = 1_000_000, 16_384, 2**32 - 1
 
 
-def require_episodes(episodes: int, name: str = "episodes") -> int:
-    """Return a number of episodes; raise unless it is a whole number from 1 to a million.
+def require_run_options(*, episodes: int, seed: int = 0, num_envs: int = 1) -> None:
+    """Raise unless numbers of episodes and environments and a seed are whole numbers that a machine can work off.
 
     Args:
-        episodes: the number.
-        name: name of the option, for the error message.
-
-    Returns:
-        The number.
+        episodes: number of episodes, 1 to a million.
+        seed: seed of the episodes, 0 to 2^32 - 1.
+        num_envs: number of environments that step together, 1 to 16384.
 
     Raises:
-        ValueError: if it is out of range.
+        ValueError: if one is out of range.
     """
-    return require_whole(name, episodes, 1, _MOST)
+    require_whole("episodes", episodes, 1, _MOST)
+    require_whole("seed", seed, 0, _LARGEST_SEED)
+    require_whole("num_envs", num_envs, 1, _MOST_ENVS)
 
 
 def _require_observed(env: EnvBase, keys: Sequence[NestedKey]) -> None:
@@ -75,7 +75,7 @@ def run_episodes(
         ValueError: if ``episodes`` is out of range, or the environment writes no metrics.
         KeyError: if one of ``keys`` is not observed.
     """
-    episodes = require_episodes(episodes)
+    require_run_options(episodes=episodes)
     _require_observed(env, keys)
     if "metrics" not in env.observation_spec.keys():
         raise ValueError(
