@@ -162,6 +162,8 @@ def load_policy(source: str | Path, *, recipe: str | Path | None = None) -> Poli
     published = is_pretrained(path)
     path = path if published else find_checkpoint(path)
     info = pretrained_card(path) if published else checkpoint_info(path)
+    if not isinstance(info.get("recipe", ""), str):
+        raise CheckpointMismatch(f"{path} names the recipe {info['recipe']!r}; expected the path of a file.")
     origin = path / info["recipe"] if "recipe" in info else info["variant"]  # an absolute path stays as it is
     found = find_recipe(recipe or origin)
     if found.variant != info["variant"]:

@@ -65,6 +65,8 @@ class Study:
         tasks = {recipe.task.name for recipe in self.recipes}
         if len(tasks) != 1:
             raise ValueError(f"the recipes are of the tasks {sorted(tasks)}; expected recipes of one task.")
+        for recipe in self.recipes:
+            with_settings(recipe.config(), self.settings)  # an impossible one shall not wait for its turn
 
     @property
     def results_dir(self) -> Path:

@@ -105,6 +105,9 @@ def shown_value(value: object) -> str:
 
 def _short(value: object) -> str:
     if isinstance(value, torch.Tensor):
-        return f"tensor{tuple(value.shape)}" + ("" if value.is_floating_point() else f" of {value.dtype}")
+        same = value.unique() if value.numel() else value  # NaN is not the same as itself
+        content = f" of {same.item():g}" if same.numel() == 1 else " with NaN" if bool(value.isnan().any()) else ""
+        kind = "" if value.dtype is torch.float32 else f" of {value.dtype}"
+        return f"tensor{tuple(value.shape)}{content}{kind}"
     text = " ".join(repr(value).split())
     return re.sub(r" at 0x[0-9a-fA-F]+", "", text if len(text) <= 60 else f"{text[:57]}...")

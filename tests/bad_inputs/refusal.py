@@ -12,15 +12,20 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType, TracebackType
+from unittest.mock import patch
 
 import ppt_rl
-from ppt_rl import cli
+from ppt_rl import cli, evaluation
+from ppt_rl.evaluation import Policy, load_policy, published_policies
 from tests.bad_inputs.entry import BadCommand, BadInput
+from tests.bad_inputs.shared import policy
 
 __all__ = ["SECONDS", "command_refusal", "input_refusal"]
 
 #: An input must be refused within this time [s], and with at most this much more memory [bytes].
 SECONDS, MEMORY = 5.0, 2 << 30
+#: tyro's frame, with and without box characters.
+_FRAME = re.compile(r"╭|^ -{10,} $", re.MULTILINE)
 _HOME = Path(ppt_rl.__file__).resolve().parent
 _OURS = (_HOME, _HOME.parent / "recipes")
 #: What a refusal may be.
@@ -37,20 +42,21 @@ class TooSlow(BaseException):
     """An entry took too long; no handler of ordinary errors catches it."""
 
 
-def input_refusal(entry: BadInput) -> str:
+def input_refusal(entry: BadInput, seconds: float = SECONDS) -> str:
     """The message with which a bad input is refused, after its form was checked.
 
     Args:
         entry: the entry.
+        seconds: time limit [s].
     """
     refusal: Exception | None = None
     try:
-        with _bounded():
+        with _bounded(seconds):
             entry.make()
     except _KINDS as error:
         refusal = error
     except TooSlow:
-        raise AssertionError(f"not refused within {SECONDS:g} s") from None
+        raise AssertionError(f"not refused within {seconds:g} s") from None
     assert refusal is not None, "silently accepted"
     message = str(refusal.args[0] if refusal.args else refusal)
     assert _raised_by_us(refusal.__traceback__), f"raised by something else than the library: {message}"
@@ -69,7 +75,13 @@ def command_refusal(entry: BadCommand, tmp: Path) -> str:
     status: object = None
     try:
         sys.argv = args
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.chdir(tmp), _bounded():
+        with (
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+            contextlib.chdir(tmp),
+            patch.object(evaluation, "load_policy", _load_policy),
+            _bounded(SECONDS),
+        ):
             cli.main()
     except SystemExit as end:
         status = end.code
@@ -81,11 +93,16 @@ def command_refusal(entry: BadCommand, tmp: Path) -> str:
     assert status is not None, f"silently accepted; it printed {out.getvalue()!r}"
     assert status == 2, f"status {status}: {text}"
     assert "Traceback" not in text
-    if "╭" in text:  # tyro's frame around an option that it does not know, or a value that is of another type
+    if _FRAME.search(text):  # of tyro, around an option that it does not know, or a value that is of another type
         return " ".join(text.split())
     lines = [line for line in text.splitlines() if line.strip()]
     assert len(lines) == 1, f"{len(lines)} lines: {text}"
     return _checked(lines[0])
+
+
+def _load_policy(source: str, *, recipe: str | None = None) -> Policy:
+    """The same as the library's, but a published policy is loaded only once."""
+    return policy(source) if recipe is None and source in published_policies() else load_policy(source, recipe=recipe)
 
 
 def _checked(message: str) -> str:
@@ -105,7 +122,7 @@ def _raised_by_us(traceback: TracebackType | None) -> bool:
 
 
 @contextlib.contextmanager
-def _bounded() -> Iterator[None]:
+def _bounded(seconds: float) -> Iterator[None]:
     """Limits time and memory of what runs inside."""
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -115,7 +132,7 @@ def _bounded() -> Iterator[None]:
     limits = resource.getrlimit(resource.RLIMIT_AS)
     handler = signal.signal(signal.SIGALRM, stop)
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, limits[1]))
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:

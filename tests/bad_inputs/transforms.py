@@ -21,7 +21,7 @@ from ppt_rl.transforms import (
     RecedingProMPTransform,
     ViaPointTransform,
 )
-from tests.bad_inputs.entry import bad, each
+from tests.bad_inputs.entry import BadInput, bad, each
 
 __all__ = ["ENTRIES"]
 
@@ -120,7 +120,8 @@ _PER_POLICY_STEP = [
     ),
     bad(RecedingProMPTransform, "promp is None, of type NoneType; expected ProMP", None, _SPACE),
     bad(RecedingProMPTransform, "task_space is .* of type tuple; expected TaskSpace", _PROMP3, ("x", "y", "z")),
-    bad(RecedingProMPTransform, r"task_space has the coordinates \('x', 'y'\)", _PROMP, _PLANE),
+    BadInput("a receding primitive without a height", lambda: RecedingProMPTransform(_PROMP, _PLANE),
+             r"task_space has the coordinates \('x', 'y'\)"),
     bad(RecedingProMPTransform, "the ProMP has 2 degrees of freedom", _PROMP, _SPACE),
     *each(RecedingProMPTransform, "max_slip", (-0.1, math.nan, math.inf, "none"), _LEAST, _PROMP3, _SPACE),
     *each(
