@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -37,6 +38,16 @@ class Judged:
     seed: int = 10_000
     num_envs: int = 128
     num_threads: int = 0
+
+    def check(self, episodes: int) -> None:
+        """Refuse impossible numbers before anything is loaded.
+
+        Args:
+            episodes: number of episodes.
+        """
+        from ppt_rl.evaluation.episodes import require_run_options
+
+        require_run_options(episodes=episodes, seed=self.seed, num_envs=self.num_envs)
 
     def load(self) -> Policy:
         """Load the policy with its changed options."""
@@ -77,9 +88,12 @@ class Evaluate(Judged):
     def run(self) -> None:
         """Judge and report."""
         from ppt_rl.evaluation import evaluate
-        from ppt_rl.evaluation.drawing import draw_policy
+        from ppt_rl.evaluation.drawing import MOST_FILMED, draw_policy
+        from ppt_rl.functional.argument_checks import require_whole
 
-        _require_writable(self.report)
+        self.check(self.episodes)
+        require_whole("film", self.film, 1, MOST_FILMED)
+        _require_folder("report", self.report)
         policy = self.load()
         result = evaluate(
             policy, episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, groups=self.per_group,
@@ -108,13 +122,16 @@ class Film(Judged):
 
     def run(self) -> None:
         """Record and film."""
-        from ppt_rl.evaluation.drawing import film
+        from ppt_rl.evaluation.drawing import MOST_FILMED, film
+        from ppt_rl.functional.argument_checks import require_whole
 
+        self.check(self.episodes)
+        require_whole("episodes", self.episodes, 1, MOST_FILMED)
+        if self.output is not None and (self.output.suffix != ".mp4" or self.output.is_dir()):
+            raise ValueError(f"output is {self.output}; expected the path of a file that ends in .mp4.")
+        _require_folder("output", None if self.output is None else self.output.parent)
         policy = self.load()
         output = self.output or Path(f"{policy.variant}.mp4")
-        if output.is_dir():
-            raise ValueError(f"--output is the directory {output}; expected the path of a video (.mp4) in it.")
-        _require_writable(output.parent)
         print(film(policy, output, episodes=self.episodes, seed=self.seed))
 
 
@@ -141,7 +158,8 @@ class CalibrateTank(Judged):
         """Calibrate and report."""
         from ppt_rl.evaluation import calibrate
 
-        _require_writable(self.report)
+        self.check(self.episodes)
+        _require_folder("report", self.report)
         result = calibrate(
             self.load(), episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, quantile=self.quantile,
             margin=self.margin,
@@ -191,6 +209,9 @@ class Study:
             num_envs=self.num_envs, settings=_pairs(self.settings), runs=self.runs, results=self.results,
             publish=self.publish,
         )  # fmt: skip
+        _require_folder("results", study.results_dir)
+        _require_folder("runs", None if self.report_only else self.runs)
+        _require_folder("publish", self.publish)
         evaluation.run_study(study, report_only=self.report_only)
 
 
@@ -217,10 +238,12 @@ class Sweep:
     def run(self) -> None:
         """Sweep and draw."""
         from ppt_rl.evaluation import run_sweep
+        from ppt_rl.evaluation.episodes import require_run_options
 
         if not self.policies:
             raise ValueError("no policy is given; expected at least one.")
-        _require_writable(self.report)
+        require_run_options(episodes=self.episodes, seed=self.seed)
+        _require_folder("report", self.report)
         policies = [_load(name, None, (f"num_threads={self.num_threads}",)) for name in self.policies]
         run_sweep(policies, episodes=self.episodes, seed=self.seed, baselines=self.baseline, report=self.report)
 
@@ -236,14 +259,6 @@ class Policies:
         print(published_table())
 
 
-def _require_writable(directory: Path | None) -> None:
-    """Refuse a directory that cannot be written to before the work whose results go there."""
-    if directory is not None:
-        from ppt_rl.training.logs import require_writable
-
-        require_writable(directory)
-
-
 def _load(name: str, recipe: str | None, settings: tuple[str, ...]) -> Policy:
     """A policy with changed options."""
     from ppt_rl.evaluation import load_policy
@@ -253,9 +268,27 @@ def _load(name: str, recipe: str | None, settings: tuple[str, ...]) -> Policy:
     return replace(policy, config=with_settings(policy.config, _pairs(settings)))
 
 
+def _require_folder(option: str, folder: Path | None) -> None:
+    """Raise unless files can be written into a folder, which is created; None stands for none."""
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"{option} is {folder}, where nothing can be written ({error.strerror}); expected a folder. Name another."
+        ) from error
+
+
 def _pairs(settings: tuple[str, ...]) -> dict[str, str]:
     """Options by name from ``NAME=VALUE``."""
-    bad = [text for text in settings if not text.partition("=")[1]]
+    bad = [text for text in settings if not all(text.partition("="))]
     if bad:
         raise ValueError(f"--set got {bad}; expected NAME=VALUE, such as p_max=0.5.")
+    names = [text.partition("=")[0] for text in settings]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"--set got {twice} more than once; expected one value for each option.")
     return {name: value for name, _, value in (text.partition("=") for text in settings)}

@@ -46,7 +46,7 @@ def find_arm(name: str) -> Arm:
         ValueError: if no arm has that name.
     """
     arms = _arms()
-    if name not in arms:
+    if not isinstance(name, str) or name not in arms:
         raise ValueError(f"arm {name!r} is unknown; expected one of {sorted(arms)}.")
     return arms[name]
 

@@ -5,11 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from numbers import Real
+from typing import Any, NamedTuple
 
 from ppt_rl.arms.chain import Chain, DHRow, Vector3
 
 __all__ = ["Arm", "Inertial", "Joints", "Limits", "Shell"]
+
+
+#: Shapes of a shell.
+_SHAPES = ("cylinder", "capsule")
 
 
 class Limits(NamedTuple):
@@ -84,15 +89,19 @@ class Joints:
 
     def __post_init__(self) -> None:
         """Refuse tables that differ in length and numbers that no joint has."""
+        for name, values in vars(self).items():
+            if not isinstance(values, Sequence) or isinstance(values, str):
+                raise ValueError(f"{name} is {values!r}; expected a tuple with one entry for each joint.")
         lengths = {name: len(values) for name, values in vars(self).items()}
         if len(set(lengths.values())) != 1:
             raise ValueError(f"the tables of the joints have the lengths {lengths}; expected one entry for each joint.")
-        for index, (low, high) in enumerate(self.position_limits, start=1):
-            if not low < high:
-                raise ValueError(f"position_limits of joint {index} are ({low}, {high}); expected low < high [rad].")
+        for index, limits in enumerate(self.position_limits, start=1):
+            if not _is_interval(limits):
+                shown = tuple(limits) if isinstance(limits, tuple) else limits
+                raise ValueError(f"position_limits of joint {index} are {shown}; expected low < high [rad].")
         for name in ("velocity_limits", "torque_limits", "inertia"):
             _require_positive(name, getattr(self, name))
-        if min(self.armature, default=0.0) < 0:
+        if not all(isinstance(value, Real) and 0 <= value < math.inf for value in self.armature):
             raise ValueError(f"armature is {self.armature}; expected numbers of at least 0 kg m^2.")
 
 
@@ -153,6 +162,11 @@ class Arm:
 
     def __post_init__(self) -> None:
         """Refuse parts that do not fit together."""
+        if not isinstance(self.name, str) or not self.name:
+            raise ValueError(f"name is {self.name!r}; expected a short text, such as 'panda'.")
+        for part, kind in (("chain", Chain), ("joints", Joints)):
+            if not isinstance(getattr(self, part), kind):
+                raise ValueError(f"{part} is {getattr(self, part)!r}; expected a {kind.__name__}.")
         count = self.num_joints
         lengths = {"joints": len(self.joints.torque_limits), "links": len(self.links), "home": len(self.home)}
         if not count or set(lengths.values()) != {count}:
@@ -162,14 +176,34 @@ class Arm:
                 raise ValueError(f"home of joint {index} is {angle} rad; expected {low} to {high} rad, its limits.")
         _require_positive("mass of the links", [link.mass for link in self.links])
         _require_positive("diagonal inertia of the links", [value for link in self.links for value in link.inertia[:3]])
+        for index, link in enumerate(self.links, start=1):
+            if not all(isinstance(value, Real) and math.isfinite(value) for value in (*link.com, *link.inertia)):
+                raise ValueError(f"link {index} is {link}; expected finite numbers for its com and inertia.")
         _require_positive("apparent_inertia", self.apparent_inertia)
-        if not 0 < self.reach.low < self.reach.high:
-            raise ValueError(f"reach is {tuple(self.reach)}; expected 0 < low < high [m].")
+        if len(self.apparent_inertia) != 6:
+            raise ValueError(f"apparent_inertia is {self.apparent_inertia}; expected six numbers [kg, kg m^2].")
+        if not _is_interval(self.reach) or self.reach[0] <= 0:
+            shown = tuple(self.reach) if isinstance(self.reach, tuple) else self.reach
+            raise ValueError(f"reach is {shown}; expected 0 < low < high [m].")
+        self._check_shells()
+
+    def _check_shells(self) -> None:
+        count = self.num_joints
         unknown = sorted({shell.link for shell in self.shells if not 0 <= shell.link <= count})
         if unknown:
             raise ValueError(f"shells belong to the links {unknown}; expected 0 (the base) to {count}.")
+        for shell in self.shells:
+            if shell.shape not in _SHAPES:
+                raise ValueError(f"the shape of a shell is {shell.shape!r}; expected one of {_SHAPES}.")
+            _require_positive("radius of the shells", [shell.radius])
+
+
+def _is_interval(limits: Any) -> bool:
+    """Whether these are two finite numbers, the first below the second."""
+    numbers = isinstance(limits, Sequence) and len(limits) == 2 and all(isinstance(end, Real) for end in limits)
+    return numbers and -math.inf < limits[0] < limits[1] < math.inf
 
 
 def _require_positive(name: str, values: Sequence[float]) -> None:
-    if not all(value > 0 and math.isfinite(value) for value in values):
+    if not all(isinstance(value, Real) and 0 < value < math.inf for value in values):
         raise ValueError(f"{name}: {tuple(values)}; expected finite numbers above 0.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import NamedTuple
 
 __all__ = ["Chain", "DHRow", "Offset"]
@@ -54,11 +55,25 @@ class Chain:
         offsets: one for each joint, from the base outwards.
         flange: distance from the last joint's frame to the flange along its z axis [m].
         tool_turn: angle from the last joint's frame to the tool's about that axis [rad].
+
+    Raises:
+        ValueError: if there is no joint, or a number is not finite.
     """
 
     offsets: tuple[Offset, ...]
     flange: float
     tool_turn: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a chain without joints and numbers that no chain has."""
+        if not self.offsets:
+            raise ValueError("offsets is empty; expected one Offset for each joint.")
+        for index, offset in enumerate(self.offsets, start=1):
+            if not isinstance(offset, Offset):
+                raise ValueError(f"offset of joint {index} is {offset!r}; expected an Offset.")
+            _require_finite(f"offset of joint {index}", (*offset.position, offset.twist, offset.turn))
+        _require_finite("flange", (self.flange,))
+        _require_finite("tool_turn", (self.tool_turn,))
 
     @classmethod
     def modified_dh(cls, rows: Sequence[DHRow], *, flange: float, tool_turn: float = 0.0) -> Chain:
@@ -71,7 +86,11 @@ class Chain:
 
         Returns:
             The chain; its link frames are the frames of the table.
+
+        Raises:
+            ValueError: if there is no row, or a number is not finite.
         """
+        _check_rows(rows)
         offsets = [
             Offset((row.a, -math.sin(row.alpha) * row.d, math.cos(row.alpha) * row.d), row.alpha, row.theta)
             for row in rows
@@ -93,8 +112,9 @@ class Chain:
             The chain; its link frames are not those of the table (see :meth:`Inertial.in_joint_frame`).
 
         Raises:
-            ValueError: if the flange is not on the last joint's axis.
+            ValueError: if there is no row, a number is not finite, or the flange is not on the last joint's axis.
         """
+        _check_rows(rows)
         *inner, last = rows
         if last.a or last.alpha:
             raise ValueError(
@@ -105,3 +125,18 @@ class Chain:
             Offset((row.a, 0.0, row.d), row.alpha, after.theta) for row, after in zip(inner, rows[1:], strict=True)
         ]
         return cls((first, *following), last.d, tool_turn)
+
+
+def _check_rows(rows: Sequence[DHRow]) -> None:
+    if not rows:
+        raise ValueError("rows is empty; expected one DHRow for each joint.")
+    for index, row in enumerate(rows, start=1):
+        if not isinstance(row, DHRow):
+            raise ValueError(f"row {index} is {row!r}; expected a DHRow.")
+        _require_finite(f"row {index}", row)
+
+
+def _require_finite(name: str, values: Sequence[float]) -> None:
+    if not all(isinstance(value, Real) and math.isfinite(value) for value in values):
+        shown = values[0] if len(values) == 1 else tuple(values)
+        raise ValueError(f"{name} is {shown!r}; expected finite numbers [m, rad].")

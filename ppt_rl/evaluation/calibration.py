@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ppt_rl.evaluation.episodes import Rows, run_episodes
+from ppt_rl.evaluation.episodes import Rows, require_run_options, run_episodes
 from ppt_rl.evaluation.figures import plot_calibration
 from ppt_rl.evaluation.policy import Policy
 from ppt_rl.evaluation.tables import markdown
+from ppt_rl.functional.argument_checks import require_number
 from ppt_rl.training.logs import write_text_atomically
 
 __all__ = ["Calibration", "calibrate"]
@@ -107,13 +108,14 @@ def calibrate(
     Raises:
         ValueError: if a number is out of range.
     """
-    if not 0.0 < quantile <= 1.0:
+    require_run_options(episodes=episodes, seed=seed, num_envs=num_envs)
+    if not 0.0 < require_number("quantile", quantile, "a share in (0, 1]") <= 1.0:
         raise ValueError(f"quantile is {quantile}; expected a share in (0, 1].")
-    if not margin >= 1.0:
+    if not require_number("margin", margin, "a factor of at least 1") >= 1.0:
         raise ValueError(f"margin is {margin}; expected a factor of at least 1.")
     limits = {"p_max": _NO_LIMIT, "e_max": _NO_LIMIT} if policy.recipe.has_tank else {"p_max": _NO_LIMIT}
     free = policy.with_changes(**limits)
-    env = free.make_env(min(num_envs, max(episodes, 1)), seed=seed, audit=True)
+    env = free.make_env(min(num_envs, episodes), seed=seed, audit=True)
     rows = run_episodes(env, policy.actor, episodes, progress=f"{policy.variant} without limits")
     env.close()
     return Calibration(policy, rows, quantile, margin)

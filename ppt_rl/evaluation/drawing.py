@@ -9,12 +9,16 @@ from tensordict import TensorDictBase
 from tqdm import tqdm
 
 from ppt_rl.envs import ArmEnv
-from ppt_rl.evaluation.episodes import record_episodes
+from ppt_rl.evaluation.episodes import record_episodes, require_run_options
 from ppt_rl.evaluation.figures import plot_training
 from ppt_rl.evaluation.policy import Policy
 from ppt_rl.evaluation.video import episode_frames, write_video
+from ppt_rl.functional.argument_checks import require_whole
 
-__all__ = ["draw_policy", "film"]
+__all__ = ["MOST_FILMED", "draw_policy", "film"]
+
+#: Largest number of episodes in a video.
+MOST_FILMED = 100
 
 
 def draw_policy(policy: Policy, directory: Path, *, episodes: int, seed: int) -> None:
@@ -63,10 +67,10 @@ def film(
         A sentence that says where the video is, or why there is none.
 
     Raises:
-        ValueError: if ``episodes`` is below 1, or the path does not end in ``.mp4``.
+        ValueError: if ``episodes`` is not from 1 to 100, or the path does not end in ``.mp4``.
     """
-    if episodes < 1:
-        raise ValueError(f"the number of episodes to film is {episodes}; expected at least 1.")
+    require_whole("episodes", episodes, 1, MOST_FILMED)
+    require_run_options(episodes=episodes, seed=seed)
     if path.suffix != ".mp4":
         raise ValueError(f"the video's path is {path}; expected one that ends in .mp4.")
     env = policy.make_env(episodes, seed=seed, privileged=True)

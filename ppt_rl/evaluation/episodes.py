@@ -11,16 +11,44 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
-from torchrl.envs import EnvBase
+from torchrl.envs import Compose, EnvBase, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
+from ppt_rl.functional.argument_checks import require_whole
 from ppt_rl.transforms.macro_step import MacroStepTransform
 
-__all__ = ["Rows", "ZeroPolicy", "record_episodes", "run_episodes"]
+__all__ = ["Rows", "ZeroPolicy", "record_episodes", "require_run_options", "run_episodes"]
 
 #: One value per episode, by metric.
 Rows = dict[str, NDArray[Any]]
+
+
+#: Largest number of episodes, whose rows are all kept in memory, of environments that step together, and largest seed.
+_MOST, _MOST_ENVS, _LARGEST_SEED = 1_000_000, 16_384, 2**32 - 1
+
+
+def require_run_options(*, episodes: int, seed: int = 0, num_envs: int = 1) -> None:
+    """Raise unless numbers of episodes and environments and a seed are whole numbers that a machine can work off.
+
+    Args:
+        episodes: number of episodes, 1 to a million.
+        seed: seed of the episodes, 0 to 2^32 - 1.
+        num_envs: number of environments that step together, 1 to 16384.
+
+    Raises:
+        ValueError: if one is out of range.
+    """
+    require_whole("episodes", episodes, 1, _MOST)
+    require_whole("seed", seed, 0, _LARGEST_SEED)
+    require_whole("num_envs", num_envs, 1, _MOST_ENVS)
+
+
+def _require_observed(env: EnvBase, keys: Sequence[NestedKey]) -> None:
+    there = list(env.observation_spec.keys(True, True))
+    missing = [key for key in keys if key not in there]
+    if missing:
+        raise KeyError(f"keys are {list(keys)}, of which {missing} are not observed; expected keys from {there}.")
 
 
 @torch.no_grad()
@@ -44,10 +72,16 @@ def run_episodes(
         the rest of :data:`~ppt_rl.evaluation.columns.POWER_AND_WORK`: an array ``(episodes,)``.
 
     Raises:
-        ValueError: if ``episodes`` is below 1.
+        ValueError: if ``episodes`` is out of range, or the environment writes no metrics.
+        KeyError: if one of ``keys`` is not observed.
     """
-    if episodes < 1:
-        raise ValueError(f"episodes is {episodes}; expected at least 1.")
+    require_run_options(episodes=episodes)
+    _require_observed(env, keys)
+    if "metrics" not in env.observation_spec.keys():
+        raise ValueError(
+            "the environment writes no metrics; expected a chain with an EpisodeMetricsTransform. Append one before "
+            "the macro step."
+        )
     rounds = math.ceil(episodes / env.numel())
     bar = tqdm(total=rounds * env.numel(), desc=progress, unit=" episodes", disable=None if progress else True)
     with set_exploration_type(ExplorationType.DETERMINISTIC), bar:
@@ -114,8 +148,14 @@ def record_episodes(env: EnvBase, policy: Any, keys: Sequence[NestedKey]) -> Ten
     Returns:
         The ``next`` that ended each episode, ``("trace", key)`` ``(B, T, ...)``, and ``control_steps``, how many of
         the T are of the episode.
+
+    Raises:
+        KeyError: if one of ``keys`` is not observed.
     """
-    macro = next((part for part in env.transform if isinstance(part, MacroStepTransform)), None)
+    _require_observed(env, keys)
+    transform = env.transform if isinstance(env, TransformedEnv) else Compose()
+    parts = transform if isinstance(transform, Compose) else [transform]
+    macro = next((part for part in parts if isinstance(part, MacroStepTransform)), None)
     if macro is not None:
         macro.trace_keys = list(keys)
         env.empty_cache()

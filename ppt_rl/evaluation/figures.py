@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ppt_rl.functional.argument_checks import require_whole
 from ppt_rl.training.logs import read_scalar
 
 __all__ = ["CURVES", "moving_average", "plot_calibration", "plot_training", "save_figure"]
@@ -30,10 +31,9 @@ def moving_average(values: Array, window: int) -> Array:
         ``(T,)``.
 
     Raises:
-        ValueError: if the window is below 1.
+        ValueError: if the window is not whole or below 1.
     """
-    if window < 1:
-        raise ValueError(f"window is {window}; expected at least 1.")
+    require_whole("window", window)
     sums = np.cumsum(np.concatenate([[0.0], values]))
     ends = np.arange(1, len(values) + 1)
     starts = np.maximum(0, ends - window)

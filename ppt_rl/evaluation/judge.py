@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ppt_rl.evaluation.episodes import Rows, run_episodes
+from ppt_rl.evaluation.episodes import Rows, require_run_options, run_episodes
 from ppt_rl.evaluation.policy import Policy
 from ppt_rl.evaluation.statistics import distribution, summarise
 from ppt_rl.evaluation.tables import as_csv, metrics_table, power_table
@@ -115,8 +115,9 @@ def evaluate(
         Rows of every metric.
 
     Raises:
-        ValueError: if ``episodes`` is below 1.
+        ValueError: if a number is out of range.
     """
+    require_run_options(episodes=episodes, seed=seed, num_envs=num_envs)
     changes: dict[str, Mapping[str, Any]] = {ALL: {}} if everything else {}
     if groups:
         found = policy.recipe.task.groups(policy.config)
@@ -142,8 +143,6 @@ def _run(policy: Policy, actor: str, episodes: int, seed: int, num_envs: int, la
 
 
 def _pass(policy: Policy, actor: str, episodes: int, seed: int, num_envs: int, label: str) -> Rows:
-    if episodes < 1:
-        raise ValueError(f"episodes is {episodes}; expected at least 1.")
     if actor == policy.variant:
         env, acts = policy.make_env(num_envs, seed=seed, audit=True), policy.actor
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from torchrl.envs import EnvBase, ExcludeTransform, TransformedEnv
 from ppt_rl.evaluation.episodes import ZeroPolicy
 from ppt_rl.evaluation.published import is_pretrained, load_pretrained, pretrained_card, published_policies
 from ppt_rl.evaluation.recipe import Recipe, find_recipe
+from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.training import CheckpointMismatch, checkpoint_info, find_checkpoint, from_json, load_checkpoint
 
 __all__ = ["REFERENCE_ALONE", "Policy", "load_policy", "restored_config"]
@@ -58,7 +59,14 @@ class Policy:
 
         Returns:
             The policy.
+
+        Raises:
+            ValueError: if an option is unknown or impossible.
         """
+        known = [option.name for option in fields(self.config)]
+        unknown = [name for name in changes if name not in known]
+        if unknown:
+            raise ValueError(f"option {unknown[0]!r} is unknown; expected one of {sorted(known)}.")
         return replace(self, config=replace(self.config, **changes))
 
     def make_env(
@@ -145,15 +153,24 @@ def load_policy(source: str | Path, *, recipe: str | Path | None = None) -> Poli
 
     Raises:
         CheckpointMismatch: if it is unreadable, was changed, or does not fit the recipe.
+        ValueError: if ``source`` is neither a name nor a path.
     """
+    require_instance("source", source, str, Path)
+    if not str(source).strip():
+        raise ValueError(f"source is {source!r}; expected the name of a published policy, or a path.")
     path = published_policies().get(str(source), Path(source))
     published = is_pretrained(path)
     path = path if published else find_checkpoint(path)
     info = pretrained_card(path) if published else checkpoint_info(path)
+    if not isinstance(info.get("recipe", ""), str):
+        raise CheckpointMismatch(f"{path} names the recipe {info['recipe']!r}; expected the path of a file.")
     origin = path / info["recipe"] if "recipe" in info else info["variant"]  # an absolute path stays as it is
     found = find_recipe(recipe or origin)
     if found.variant != info["variant"]:
-        raise CheckpointMismatch(f"{path} is of variant {info['variant']!r}; the recipe makes {found.variant!r}.")
+        raise CheckpointMismatch(
+            f"{path} is of variant {info['variant']!r}; expected a recipe of it, and {str(recipe or origin)!r} makes "
+            f"{found.variant!r}. Name the recipe that trained it."
+        )
     config = restored_config(found, info["config"], path)
     modules = found.make_modules(config)
     env = found.make_env(config, modules, num_envs=1)

@@ -18,6 +18,7 @@ from torchrl.envs import Compose, Transform, TransformedEnv
 
 from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.task import Task
+from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.training import (
     CheckpointMismatch,
     Learners,
@@ -181,8 +182,10 @@ def find_recipe(name: str | Path) -> Recipe:
         The recipe.
 
     Raises:
-        CheckpointMismatch: if there is none of that name, or the file defines no recipe.
+        CheckpointMismatch: if there is none of that name, or the file cannot be run or defines no recipe.
+        ValueError: if it is neither a name nor a path.
     """
+    require_instance("name", name, str, Path)
     known = shipped_recipes()
     if str(name) in known:
         return importlib.import_module(f"{_PACKAGE}.{_PREFIX}{name}").RECIPE
@@ -207,7 +210,15 @@ def _recipe_of_file(path: Path) -> Recipe:
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[module_name] = module
-        spec.loader.exec_module(module)
+        try:
+            spec.loader.exec_module(module)
+        except Exception as error:
+            del sys.modules[module_name]
+            what = " ".join(str(error).split())
+            raise CheckpointMismatch(
+                f"{path} cannot be run: {type(error).__name__}: {what}; expected a recipe. Repair it, and try it with "
+                f"python {path.name} --help."
+            ) from error
     recipe = getattr(module, "RECIPE", None)
     if not isinstance(recipe, Recipe):
         raise CheckpointMismatch(f"{path} defines no recipe; expected RECIPE = Recipe(...) at its top level.")

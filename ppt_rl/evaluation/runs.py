@@ -6,9 +6,12 @@ import gzip
 import io
 import json
 import shutil
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +23,17 @@ from ppt_rl.evaluation.policy import Policy, restored_config
 from ppt_rl.evaluation.recipe import Recipe
 from ppt_rl.evaluation.statistics import distribution
 from ppt_rl.evaluation.tables import as_csv, from_csv
+from ppt_rl.training import CheckpointMismatch
 from ppt_rl.training.logs import read_scalar, write_bytes_atomically, write_text_atomically
 
 __all__ = ["KeptRun", "curves_csv", "keep_run"]
 
 Array = NDArray[np.float64]
+_Content = TypeVar("_Content")
+#: What a damaged file makes its readers raise.
+_UNREADABLE = (OSError, ValueError, EOFError, zlib.error, zipfile.BadZipFile)
+#: What the file of an evaluation holds at least.
+_JUDGED = ("episodes", "eval_seed", "groups", "summary")
 #: Logged scalars that are kept.
 _CURVES = (*COLUMNS, "max_power_measured", "work", "reward", "kl", "seconds")
 
@@ -51,17 +60,21 @@ class KeptRun:
         return (self.results / "evaluation.json").exists()
 
     def evaluation(self) -> dict[str, Any]:
-        """How the run was judged: ``episodes`` (per group), ``eval_seed``, ``groups``, ``summary`` and ``audit``."""
-        return json.loads((self.results / "evaluation.json").read_text())
+        """How the run was judged: ``episodes`` (per group), ``eval_seed``, ``groups``, ``summary`` and ``audit``.
+
+        Raises:
+            CheckpointMismatch: if it cannot be read; so do the other methods that read a file.
+        """
+        return _record(self.results / "evaluation.json", _JUDGED)
 
     def config(self) -> Any:
         """Options of the run."""
         path = self.results / "config.json"
-        return restored_config(self.recipe, json.loads(path.read_text())["config"], path)
+        return restored_config(self.recipe, _record(path, ("config",))["config"], path)
 
     def curves(self) -> dict[str, Array]:
         """Logged scalars by name, and ``control_steps``."""
-        return from_csv((self.results / "curves.csv").read_text())
+        return _read(self.results / "curves.csv", lambda data: from_csv(data.decode()))
 
     def actors(self) -> list[str]:
         """Who was judged: the variant first, then baselines."""
@@ -76,12 +89,11 @@ class KeptRun:
         Returns:
             Arrays by metric; ``group`` is the index of the episode's group.
         """
-        return from_csv(gzip.decompress(self._episodes_path(actor).read_bytes()).decode())
+        return _read(self._episodes_path(actor), lambda data: from_csv(gzip.decompress(data).decode()))
 
     def rollouts(self) -> dict[str, Array]:
         """Recorded episodes: observations ``(N, T, n)`` by name, and ``steps`` ``(N,)``, the length of each."""
-        with np.load(self.results / "rollouts.npz") as file:
-            return {name: file[name].astype(np.float64) for name in file.files}
+        return _read(self.results / "rollouts.npz", _arrays)
 
     def _episodes_path(self, actor: str | None) -> Path:
         own = actor is None or actor == self.recipe.variant
@@ -97,6 +109,35 @@ class KeptRun:
         for actor, groups in evaluation.rows.items():
             rows = [row | {"group": index} for index, part in enumerate(groups.values()) for row in rows_of(part)]
             write_bytes_atomically(self._episodes_path(actor), gzip.compress(as_csv(rows).encode(), mtime=0))
+
+
+def _read(path: Path, parse: Callable[[bytes], _Content]) -> _Content:
+    """Content of a file of results, or an error that says what to do about it."""
+    try:
+        return parse(path.read_bytes())
+    except _UNREADABLE as error:
+        what = " ".join(str(error).split())
+        raise CheckpointMismatch(
+            f"{path} cannot be read ({what}); expected what a study keeps of a finished run. Remove the folder, and "
+            "run the study again."
+        ) from error
+
+
+def _record(path: Path, needed: Sequence[str]) -> dict[str, Any]:
+    """A JSON object with at least the needed entries."""
+    record = _read(path, json.loads)
+    missing = [name for name in needed if name not in record] if isinstance(record, dict) else list(needed)
+    if missing:
+        raise CheckpointMismatch(
+            f"{path} lacks {missing}; expected a JSON object with {list(needed)}. Remove the folder, and run the study "
+            "again."
+        )
+    return record
+
+
+def _arrays(data: bytes) -> dict[str, Array]:
+    with np.load(io.BytesIO(data)) as file:
+        return {name: file[name].astype(np.float64) for name in file.files}
 
 
 def keep_run(run: KeptRun, policy: Policy, *, episodes: int, seed: int, num_envs: int) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from ppt_rl.evaluation.columns import COLUMNS, POWER_AND_WORK, Column
+from ppt_rl.functional.argument_checks import shown
 
 __all__ = ["Claim", "distribution", "interquartile_mean", "interval", "judge", "over_seeds", "summarise"]
 
@@ -27,7 +28,13 @@ def interval(values: Array, *, is_rate: bool) -> tuple[float, float]:
 
     Returns:
         Lower and upper end.
+
+    Raises:
+        ValueError: if there is no value, one is not finite, or one of a rate is neither zero nor one.
     """
+    values = _values("values", values)
+    if is_rate and not bool(np.isin(values, (0.0, 1.0)).all()):
+        raise ValueError(f"values are {shown(values)}; expected zeros and ones for a rate. Pass is_rate=False.")
     count = len(values)
     if is_rate:
         result = stats.binomtest(round(float(values.sum())), count).proportion_ci(0.95, method="wilson")
@@ -47,7 +54,12 @@ def summarise(rows: Mapping[str, Array], columns: Mapping[str, Column] = COLUMNS
 
     Returns:
         ``{name: {"mean": x, "ci95": [low, high]}}``; ratios stay within [0, 1].
+
+    Raises:
+        KeyError: if a metric is missing.
+        ValueError: if a metric has no value, or one that is not finite.
     """
+    _require("rows", rows, columns)
     summary: dict[str, dict[str, Any]] = {}
     for name, column in columns.items():
         low, high = interval(rows[name], is_rate=column.is_rate)
@@ -66,8 +78,14 @@ def distribution(rows: Mapping[str, Array], names: Iterable[str] = POWER_AND_WOR
 
     Returns:
         ``{name: {"mean": x, "p95": x, "max": x}}``.
+
+    Raises:
+        KeyError: if a quantity is missing.
+        ValueError: if a quantity has no value, or one that is not finite.
     """
-    sizes = {name: np.abs(rows[name]) for name in names}
+    names = list(names)
+    _require("rows", rows, names)
+    sizes = {name: np.abs(_values(f"values of {name}", rows[name])) for name in names}
     return {
         name: {"mean": float(v.mean()), "p95": float(np.quantile(v, 0.95)), "max": float(v.max())}
         for name, v in sizes.items()
@@ -82,8 +100,11 @@ def interquartile_mean(values: Sequence[float] | Array) -> float:
 
     Returns:
         The mean.
+
+    Raises:
+        ValueError: if there is no value, or one is not finite.
     """
-    return float(stats.trim_mean(np.asarray(values, dtype=float), 0.25))
+    return float(stats.trim_mean(_values("values", values), 0.25))
 
 
 def over_seeds(values: Sequence[float] | Array) -> dict[str, Any]:
@@ -94,8 +115,11 @@ def over_seeds(values: Sequence[float] | Array) -> dict[str, Any]:
 
     Returns:
         ``mean``, ``se``, ``ci95`` (``[low, high]``), ``iqm``, ``seeds``; with one seed, error and interval are None.
+
+    Raises:
+        ValueError: if there is no value, or one is not finite.
     """
-    data = np.asarray(values, dtype=float)
+    data = _values("values", values)
     count, mean = len(data), float(data.mean())
     summary: dict[str, Any] = {"mean": mean, "se": None, "ci95": None, "iqm": interquartile_mean(data), "seeds": count}
     if count > 1:
@@ -103,6 +127,22 @@ def over_seeds(values: Sequence[float] | Array) -> dict[str, Any]:
         half = float(stats.t.ppf(0.975, count - 1)) * error
         summary |= {"se": error, "ci95": [mean - half, mean + half]}
     return summary
+
+
+def _values(name: str, values: Any) -> Array:
+    """At least one finite number."""
+    data = np.asarray(values, dtype=float)
+    if not data.size:
+        raise ValueError(f"{name} are empty; expected at least one number.")
+    if not np.isfinite(data).all():
+        raise ValueError(f"{name} are {shown(data)}; expected finite numbers. Look for an episode that diverged.")
+    return data
+
+
+def _require(what: str, table: Mapping[str, Any], names: Iterable[str]) -> None:
+    missing = [name for name in names if name not in table]
+    if missing:
+        raise KeyError(f"{what} lack {missing}; expected them beside {list(table)}.")
 
 
 @dataclass(frozen=True)
@@ -135,8 +175,13 @@ def judge(claim: Claim, values: Mapping[str, Sequence[float]]) -> dict[str, Any]
         ``verdict`` (``holds``, ``reversed``, ``not resolved``), ``better`` and ``worse``, the two figures, and ``ci95``
         of the difference better - worse (for a claim of spread, of the ratio of standard deviations); None with one
         seed.
+
+    Raises:
+        KeyError: if a variant is missing.
+        ValueError: if a variant has no value, or one that is not finite.
     """
-    first, second = (np.asarray(values[name], dtype=float) for name in (claim.better, claim.worse))
+    _require("values", values, (claim.better, claim.worse))
+    first, second = (_values(f"values of {name!r}", values[name]) for name in (claim.better, claim.worse))
     if min(len(first), len(second)) < 2:
         return {"verdict": "not resolved", "better": first.mean(), "worse": second.mean(), "ci95": None}
     if claim.spread:

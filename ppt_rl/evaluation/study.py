@@ -11,16 +11,21 @@ from typing import Any
 
 from tqdm import tqdm
 
+from ppt_rl.evaluation.episodes import require_run_options
 from ppt_rl.evaluation.policy import Policy, load_policy
 from ppt_rl.evaluation.published import save_pretrained
 from ppt_rl.evaluation.recipe import Recipe, find_recipe, shipped_recipes
 from ppt_rl.evaluation.runs import KeptRun, keep_run
 from ppt_rl.evaluation.study_report import write_report
 from ppt_rl.evaluation.tables import markdown, mean_and_interval
+from ppt_rl.functional.argument_checks import require_whole
 from ppt_rl.training import with_settings
 from ppt_rl.training.logs import versions, write_text_atomically
 
 __all__ = ["Study", "find_recipes", "run_study"]
+
+#: Largest number of seeds.
+_MOST_SEEDS = 1000
 
 
 @dataclass(frozen=True)
@@ -51,12 +56,17 @@ class Study:
 
     def __post_init__(self) -> None:
         """Refuse impossible studies."""
-        for name in ("seeds", "episodes", "num_envs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}; expected at least 1.")
+        require_whole("seeds", self.seeds, 1, _MOST_SEEDS)
+        require_whole("eval_seed", self.eval_seed, 0)
+        require_run_options(episodes=self.episodes, seed=self.eval_seed, num_envs=self.num_envs)
+        others = [recipe for recipe in self.recipes if not isinstance(recipe, Recipe)]
+        if others:
+            raise ValueError(f"recipes hold {others[0]!r}; expected recipes. Find them by name with find_recipes.")
         tasks = {recipe.task.name for recipe in self.recipes}
         if len(tasks) != 1:
             raise ValueError(f"the recipes are of the tasks {sorted(tasks)}; expected recipes of one task.")
+        for recipe in self.recipes:
+            with_settings(recipe.config(), self.settings)  # an impossible one shall not wait for its turn
 
     @property
     def results_dir(self) -> Path:

@@ -9,7 +9,7 @@ from typing import Any
 
 from torchrl.envs import EnvBase
 
-from ppt_rl.evaluation.episodes import run_episodes
+from ppt_rl.evaluation.episodes import require_run_options, run_episodes
 from ppt_rl.evaluation.policy import Policy
 from ppt_rl.evaluation.statistics import interval
 from ppt_rl.evaluation.study_figures import plot_sweep
@@ -34,12 +34,17 @@ def run_sweep(
         report: directory of the results.
 
     Raises:
-        ValueError: if the policies are of several tasks, or their task has no sweep.
+        ValueError: if there is no policy, they are of several tasks, their task has no sweep, or a number is out of
+            range.
     """
+    require_run_options(episodes=episodes, seed=seed)
     tasks = {policy.recipe.task.name: policy.recipe.task for policy in policies}
-    sweep = next(iter(tasks.values())).sweep
+    sweep = next((task.sweep for task in tasks.values()), None)
     if len(tasks) != 1 or sweep is None:
         raise ValueError(f"the policies are of {sorted(tasks)}; expected policies of one task that has a sweep.")
+    unknown = [name for name in baselines if name not in policies[0].baselines()]
+    if unknown:
+        raise ValueError(f"baselines {unknown} are unknown; expected names from {policies[0].baselines()}.")
     points = sweep.points(episodes, seed)
     given = [episode for point in points for episode in point.given]
     curves: dict[str, dict[str, Any]] = {}

@@ -24,7 +24,13 @@ def markdown(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
 
     Returns:
         The table.
+
+    Raises:
+        ValueError: if a line has another number of cells than the head.
     """
+    for index, line in enumerate(lines):
+        if len(line) != len(head):
+            raise ValueError(f"line {index} has {len(line)} cells; expected {len(head)}, as many as the head.")
     rows = [head, ["---"] * len(head), *lines]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
 
@@ -97,7 +103,15 @@ def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
 
     Returns:
         The text, with a line of names first.
+
+    Raises:
+        ValueError: if there is no row, or the rows differ in their keys.
     """
+    if not rows:
+        raise ValueError("rows are empty; expected at least one.")
+    for index, row in enumerate(rows):
+        if row.keys() != rows[0].keys():
+            raise ValueError(f"row {index} has the keys {list(row)}; expected {list(rows[0])}, as in the first row.")
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -113,7 +127,22 @@ def from_csv(text: str) -> dict[str, NDArray[np.float64]]:
 
     Returns:
         Arrays by name.
+
+    Raises:
+        ValueError: if there is no line of names, or a line is torn or holds something else than numbers.
     """
-    names, *rows = csv.reader(io.StringIO(text))
-    data = np.asarray(rows, dtype=float).reshape(len(rows), len(names))
+    names, *rows = list(csv.reader(io.StringIO(text))) or [[]]
+    if not names:
+        raise ValueError("the text is empty; expected a line of names, then lines of numbers.")
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(names):
+            raise ValueError(f"line {number} has {len(row)} cells; expected {len(names)}, one for each name.")
+    data = np.asarray([_floats(row, number) for number, row in enumerate(rows, start=2)]).reshape(-1, len(names))
     return {name: data[:, index] for index, name in enumerate(names)}
+
+
+def _floats(row: Sequence[str], number: int) -> list[float]:
+    try:
+        return [float(cell) for cell in row]
+    except ValueError as error:
+        raise ValueError(f"{row} in line {number} are no numbers; expected numbers in every cell.") from error

@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 
 from ppt_rl.envs import ArmEnv
 from ppt_rl.envs.rendering import require_rendering
+from ppt_rl.functional.checks import require_positive
 
 __all__ = ["episode_frames", "pictures", "write_video"]
 
@@ -89,7 +90,11 @@ def write_video(path: Path, frames: Iterable[Image], fps: float) -> None:
         path: path of the video, ending in ``.mp4``.
         frames: RGB images of one size.
         fps: frames per second.
+
+    Raises:
+        ValueError: if ``fps`` is not positive.
     """
+    require_positive("fps", fps, "frames per second")
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".draft-{path.name}")
     writer: Any

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+
+from ppt_rl.functional.argument_checks import require_number, shown
 
 __all__ = [
     "Bounds",
@@ -147,8 +149,12 @@ def require_last_dim(name: str, value: Tensor, size: int) -> None:
         size: expected size of its last dimension.
 
     Raises:
-        ValueError: if the sizes differ.
+        ValueError: if the sizes differ, or it is no tensor.
     """
+    if not isinstance(value, Tensor):
+        raise ValueError(
+            f"{name} is {shown(value)}, of type {type(value).__name__}; expected a tensor (*batch, {size})."
+        )
     if value.ndim == 0 or value.shape[-1] != size:
         raise ValueError(f"{name} has shape {tuple(value.shape)}; expected (*batch, {size}).")
 
@@ -167,9 +173,10 @@ def require_positive(name: str, value: float, unit: str = "") -> float:
     Raises:
         ValueError: if the number is not finite or not above zero.
     """
-    number = float(value)
-    if not math.isfinite(number) or number <= 0.0:
-        raise ValueError(f"{name} is {value}; expected a finite number above 0 {unit}".rstrip() + ".")
+    expected = f"a finite number above 0 {unit}".rstrip()
+    number = require_number(name, value, expected)
+    if number <= 0.0:
+        raise ValueError(f"{name} is {value}; expected {expected}.")
     return number
 
 
@@ -180,8 +187,13 @@ def require_ranges(ranges: Any) -> None:
         ranges: a dataclass instance in which every field is a pair ``(low, high)``.
 
     Raises:
-        ValueError: if ``low <= high`` does not hold for a field.
+        ValueError: if a field is no pair of finite numbers, or ``low <= high`` does not hold for it.
     """
-    for name, (low, high) in vars(ranges).items():
+    for name, pair in vars(ranges).items():
+        full = f"{type(ranges).__name__}.{name}"
+        numbers = isinstance(pair, Sequence) and len(pair) == 2 and all(isinstance(end, Real) for end in pair)
+        if not numbers or any(math.isinf(end) for end in pair):
+            raise ValueError(f"{full} is {shown(pair)}; expected a pair (low, high) of finite numbers.")
+        low, high = pair
         if not low <= high:
-            raise ValueError(f"{type(ranges).__name__}.{name} is ({low}, {high}); expected low <= high.")
+            raise ValueError(f"{full} is ({low}, {high}); expected low <= high.")

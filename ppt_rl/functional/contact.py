@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from ppt_rl.functional.checks import require_positive
+from ppt_rl.functional.checks import require_last_dim, require_positive
+from ppt_rl.functional.shape_checks import require_bool
 
 __all__ = ["WallContact", "WallTouch", "is_touching", "wall_contact"]
 
@@ -34,8 +36,9 @@ class WallTouch:
         """Refuse impossible numbers."""
         require_positive("friction", self.friction)
         require_positive("slow", self.slow, "m/s")
-        if not self.on >= self.off > 0:
-            raise ValueError(f"on and off are {self.on} and {self.off} N; expected on >= off > 0.")
+        numbers = isinstance(self.on, Real) and isinstance(self.off, Real)
+        if not numbers or not math.inf > self.on >= self.off > 0:
+            raise ValueError(f"on and off are {self.on} and {self.off} N; expected on >= off > 0, both finite.")
 
 
 class WallContact(NamedTuple):
@@ -63,7 +66,11 @@ def is_touching(touching: Tensor, force: Tensor, *, on: float, off: float) -> Te
 
     Returns:
         ``(*B, 1)`` bool, whether there is contact.
+
+    Raises:
+        ValueError: if ``touching`` is not boolean.
     """
+    require_bool("touching", touching)
     return force > torch.where(touching, off, on)
 
 
@@ -91,9 +98,14 @@ def wall_contact(force: Tensor, velocity: Tensor, heading: Tensor, *, friction: 
     Returns:
         The wall. Without any force, its tangent is the direction of motion, or the heading of a tool at rest.
 
+    Raises:
+        ValueError: if a shape does not fit.
+
     Source:
         Ours.
     """
+    for name, value, size in (("force", force, 3), ("velocity", velocity, 2), ("heading", heading, 1)):
+        require_last_dim(name, value, size)
     ahead = torch.cat([heading.cos(), heading.sin()], -1)
     speed = torch.linalg.vector_norm(velocity, dim=-1, keepdim=True)
     on_floor = friction * force[..., 2:3].abs() * velocity / (speed + slow)

@@ -5,15 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from ppt_rl.functional.checks import require_positive
+from ppt_rl.functional.argument_checks import require_in_range, require_numbers, require_whole
+from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.contact import WallContact
 
 __all__ = ["ContactViaPoints", "ViaPointConfig", "begin_via_points", "update_via_points"]
+
+
+#: Largest number of via-points in a buffer.
+_MOST = 1000
 
 
 @dataclass(frozen=True)
@@ -21,7 +27,7 @@ class ViaPointConfig:
     """Where and when contact with a wall sets a via-point.
 
     Attributes:
-        capacity: M, number of via-points in the buffer.
+        capacity: M, number of via-points in the buffer, at most 1000.
         lookahead: T, time from setting a via-point until it is due [s].
         speed: v, speed along the wall [m/s]: a via-point lies ``v T`` ahead of the tool.
         offset: b, distance of a via-point from the line along the wall through the tool, away from the wall [m].
@@ -42,16 +48,13 @@ class ViaPointConfig:
 
     def __post_init__(self) -> None:
         """Refuse impossible numbers."""
-        if self.capacity < 1:
-            raise ValueError(f"capacity is {self.capacity}; expected at least 1 via-point.")
+        require_whole("capacity", self.capacity, 1, _MOST)
         for name, unit in (("lookahead", "s"), ("speed", "m/s"), ("spacing", "s"), ("pause", "s")):
             require_positive(name, getattr(self, name), unit)
-        if not self.offset >= 0:
-            raise ValueError(f"offset is {self.offset} m; expected at least 0.")
-        if not 0 < self.turn < math.pi:
+        require_in_range("offset", self.offset, 0.0, unit="m")
+        if not isinstance(self.turn, Real) or not 0 < self.turn < math.pi:
             raise ValueError(f"turn is {self.turn} rad; expected a number above 0 and below pi.")
-        if len(self.std) != 3:
-            raise ValueError(f"std is {self.std}; expected three numbers: along the wall, across it, in height [m].")
+        require_numbers("std", self.std, (3,), unit="m")
         for value in self.std:
             require_positive("std", value, "m")
 
@@ -103,7 +106,11 @@ def begin_via_points(pose: Tensor, config: ViaPointConfig) -> ContactViaPoints:
 
     Returns:
         The buffer, without contact.
+
+    Raises:
+        ValueError: if the pose has another shape.
     """
+    require_last_dim("pose", pose, 7)
     batch, size = pose.shape[:-1], config.capacity
     flag = torch.zeros(*batch, size, dtype=torch.bool, device=pose.device)
     return ContactViaPoints(

@@ -5,6 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.shape_checks import require_same_batch, require_trailing
+
 __all__ = ["follow_heading", "from_heading", "to_heading"]
 
 
@@ -21,8 +24,9 @@ def to_heading(vector: Tensor, heading: Tensor) -> Tensor:
         The vector in heading axes, of the same shape.
 
     Raises:
-        ValueError: if the vector has neither 3 nor 6 numbers.
+        ValueError: if the vector has neither 3 nor 6 numbers, or the heading not one.
     """
+    _check_turned(vector, heading)
     return _turned(vector, -heading)
 
 
@@ -37,14 +41,21 @@ def from_heading(vector: Tensor, heading: Tensor) -> Tensor:
         The vector in world axes, of the same shape.
 
     Raises:
-        ValueError: if the vector has neither 3 nor 6 numbers.
+        ValueError: if the vector has neither 3 nor 6 numbers, or the heading not one.
     """
+    _check_turned(vector, heading)
     return _turned(vector, heading)
 
 
-def _turned(vector: Tensor, angle: Tensor) -> Tensor:
+def _check_turned(vector: Tensor, heading: Tensor) -> None:
+    require_trailing("vector", vector, "N")
     if vector.shape[-1] not in (3, 6):
         raise ValueError(f"vector has shape {tuple(vector.shape)}; expected (*batch, 3) or (*batch, 6).")
+    require_last_dim("heading", heading, 1)
+    require_same_batch(vector=vector, heading=heading)
+
+
+def _turned(vector: Tensor, angle: Tensor) -> Tensor:
     parts = vector.unflatten(-1, (-1, 3))
     cos, sin = angle.cos(), angle.sin()
     x, y, z = parts.unbind(-1)
@@ -85,9 +96,16 @@ def follow_heading(
     Returns:
         ``(*B, 1)`` new heading in (-pi, pi] [rad].
 
+    Raises:
+        ValueError: if a shape does not fit.
+
     Source:
         Ours.
     """
+    for name, value, size in (
+        ("heading", heading, 1), ("velocity", velocity, 2), ("tangent", tangent, 2), ("touching", touching, 1),
+    ):  # fmt: skip
+        require_last_dim(name, value, size)
     ahead = torch.cat([heading.cos(), heading.sin()], -1)
     square = velocity.square().sum(-1, keepdim=True)
     along = (velocity * ahead).sum(-1, keepdim=True).clamp_min(0.0) / square.sqrt().clamp_min(1e-9)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.shape_checks import require_same_batch, require_trailing
+
 __all__ = ["cartesian_impedance", "critical_damping", "joint_torque", "nullspace_torque", "orientation_error", "power"]
 
 
@@ -23,9 +26,15 @@ def orientation_error(quat: Tensor, reference_quat: Tensor) -> Tensor:
     Returns:
         ``(*B, 3)`` error [-], world axes.
 
+    Raises:
+        ValueError: if a shape does not fit.
+
     Source:
         Paper, section "Cartesian Impedance Control", with its sign and its frame corrected (docs/method.md).
     """
+    require_last_dim("quat", quat, 4)
+    require_last_dim("reference_quat", reference_quat, 4)
+    require_same_batch(quat=quat, reference_quat=reference_quat)
     w, v = quat[..., :1], quat[..., 1:]
     wd, vd = reference_quat[..., :1], reference_quat[..., 1:]
     error_w = (quat * reference_quat).sum(-1, keepdim=True)
@@ -43,7 +52,13 @@ def critical_damping(stiffness: Tensor, damping_ratio: Tensor, inertia: Tensor) 
 
     Returns:
         ``(*B, 6)`` damping [N s/m, N m s/rad].
+
+    Raises:
+        ValueError: if a shape does not fit.
     """
+    for name, value in (("stiffness", stiffness), ("damping_ratio", damping_ratio), ("inertia", inertia)):
+        require_last_dim(name, value, 6)
+    require_same_batch(stiffness=stiffness, damping_ratio=damping_ratio, inertia=inertia)
     return 2.0 * damping_ratio * (stiffness * inertia).sqrt()
 
 
@@ -65,9 +80,21 @@ def cartesian_impedance(
     Returns:
         ``(*B, 6)`` wrench applied by the robot, world axes, at the end-effector point [N, N m].
 
+    Raises:
+        ValueError: if a shape does not fit.
+
     Source:
         Paper, eq. (5), with :func:`orientation_error` instead of the error printed there.
     """
+    for name, value, size in (
+        ("pose", pose, 7), ("twist", twist, 6), ("reference_pose", reference_pose, 7),
+        ("reference_twist", reference_twist, 6), ("stiffness", stiffness, 6), ("damping", damping, 6),
+    ):  # fmt: skip
+        require_last_dim(name, value, size)
+    require_same_batch(
+        pose=pose, twist=twist, reference_pose=reference_pose, reference_twist=reference_twist, stiffness=stiffness,
+        damping=damping,
+    )  # fmt: skip
     position_error = reference_pose[..., :3] - pose[..., :3]  # [m]
     rotation_error = orientation_error(pose[..., 3:], reference_pose[..., 3:])  # [-]
     error = torch.cat([position_error, rotation_error], -1)
@@ -83,7 +110,14 @@ def joint_torque(jacobian: Tensor, wrench: Tensor) -> Tensor:
 
     Returns:
         ``(*B, N)`` torque [N m].
+
+    Raises:
+        ValueError: if a shape does not fit.
     """
+    require_trailing("jacobian", jacobian, 6, "N")
+    require_last_dim("wrench", wrench, 6)
+    if jacobian.shape[:-2] != wrench.shape[:-1]:
+        require_same_batch(**{"jacobian[..., 0]": jacobian[..., 0], "wrench": wrench})
     return (wrench.unsqueeze(-2) @ jacobian).squeeze(-2)
 
 
@@ -104,9 +138,15 @@ def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping:
     Returns:
         ``(*B, N)`` projected torque [N m].
 
+    Raises:
+        ValueError: if a shape does not fit.
+
     Source:
         Khatib 1987, "A unified approach for motion and force control of robot manipulators", eq. (47).
     """
+    require_trailing("jacobian", jacobian, 6, "N")
+    require_last_dim("torque", torque, jacobian.shape[-1])
+    require_last_dim("inertia", inertia, jacobian.shape[-1])
     weighted = jacobian / inertia  # J M^-1
     gram = weighted @ jacobian.mT
     gram.diagonal(dim1=-2, dim2=-1).add_(damping**2)
@@ -124,5 +164,11 @@ def power(effort: Tensor, flow: Tensor) -> Tensor:
 
     Returns:
         ``(*B, 1)`` power [W].
+
+    Raises:
+        ValueError: if a shape does not fit.
     """
+    require_trailing("effort", effort, "N")
+    require_last_dim("flow", flow, effort.shape[-1])
+    require_same_batch(effort=effort, flow=flow)
     return (effort * flow).sum(-1, keepdim=True)

@@ -13,6 +13,9 @@ import torch
 from scipy import signal
 from torch import Tensor
 
+from ppt_rl.functional.checks import require_last_dim, require_positive
+from ppt_rl.functional.shape_checks import require_same_batch
+
 __all__ = [
     "MEMORY_SIZE",
     "METRICS",
@@ -56,9 +59,8 @@ class MetricsConfig:
 
     def __post_init__(self) -> None:
         """Refuse impossible numbers."""
-        for name in ("p_max", "contact_force", "cutoff"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}; expected a number above 0.")
+        for name, unit in (("p_max", "W"), ("contact_force", "N"), ("cutoff", "Hz")):
+            require_positive(name, getattr(self, name), unit)
 
 
 @lru_cache
@@ -73,8 +75,10 @@ def low_pass(cutoff: float, dt: float) -> tuple[float, float, float, float, floa
         ``b0, b1, b2, a1, a2`` of the transfer function, with ``a0 = 1``.
 
     Raises:
-        ValueError: if the cut-off is not below half the control rate.
+        ValueError: if a number is not positive, or the cut-off not below half the control rate.
     """
+    require_positive("cutoff", cutoff, "Hz")
+    require_positive("dt", dt, "s")
     if cutoff * dt >= 0.5:
         raise ValueError(f"cutoff is {cutoff} Hz; expected a frequency below half the control rate, {0.5 / dt} Hz.")
     b, a = signal.butter(2, cutoff, fs=1.0 / dt)
@@ -92,7 +96,13 @@ def begin_metrics(twist: Tensor, wrench: Tensor, config: MetricsConfig, *, dt: f
 
     Returns:
         ``(*B, MEMORY_SIZE)`` memory.
+
+    Raises:
+        ValueError: if a shape does not fit, or ``dt`` is too long for the filter.
     """
+    require_last_dim("twist", twist, 6)
+    require_last_dim("wrench", wrench, 6)
+    require_same_batch(twist=twist, wrench=wrench)
     x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
     b0, _, b2, _, a2 = low_pass(config.cutoff, dt)
     memory = x.new_zeros(*x.shape[:-1], MEMORY_SIZE)
@@ -118,7 +128,15 @@ def update_metrics(
 
     Returns:
         ``(*B, MEMORY_SIZE)`` new memory; the old one is not changed.
+
+    Raises:
+        ValueError: if a shape does not fit, or ``dt`` is too long for the filter.
     """
+    for name, value, size in (
+        ("memory", memory, MEMORY_SIZE), ("twist", twist, 6), ("wrench", wrench, 6), ("power", power, 1),
+    ):  # fmt: skip
+        require_last_dim(name, value, size)
+    require_same_batch(memory=memory, twist=twist, wrench=wrench, power=power)
     b0, b1, b2, a1, a2 = low_pass(config.cutoff, dt)
     x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
     y = torch.add(memory[..., _Z1], x, alpha=b0)
@@ -150,7 +168,11 @@ def summarise_metrics(memory: Tensor) -> dict[str, Tensor]:
     Returns:
         A tensor ``(*B, 1)`` for each name of :data:`METRICS`: max_power and max_power_measured [W], jerk_rms [m/s^3],
         wrench_p95 [N], overload_ratio and contact_continuity [0-1], work [J].
+
+    Raises:
+        ValueError: if the memory has another size.
     """
+    require_last_dim("memory", memory, MEMORY_SIZE)
     count = memory[..., _COUNT].clamp_min(1.0)
     cumulative = memory[..., _HISTOGRAM].cumsum(-1)
     below = (cumulative < 0.95 * memory[..., _COUNT : _COUNT + 1]).sum(-1).to(memory.dtype)

@@ -7,7 +7,10 @@ import math
 import torch
 from torch import Tensor
 
+from ppt_rl.functional.argument_checks import require_whole
+from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.promp import Gaussian, unvec, vec
+from ppt_rl.functional.shape_checks import require_bool, require_trailing
 
 __all__ = ["fit_em", "fit_ridge"]
 
@@ -22,7 +25,13 @@ def fit_ridge(trajectories: Tensor, basis_matrix: Tensor, ridge: float) -> Gauss
 
     Returns:
         Mean ``(K * D,)`` and covariance ``(K * D, K * D)``.
+
+    Raises:
+        ValueError: if a shape or number does not fit.
     """
+    _check_trajectories(trajectories)
+    require_trailing("basis_matrix", basis_matrix, trajectories.shape[1], "K")
+    require_positive("ridge", ridge)
     normal = basis_matrix.mT @ basis_matrix + ridge * _identity(basis_matrix.shape[-1], basis_matrix)
     weights = vec(torch.linalg.solve(normal, basis_matrix.mT @ trajectories))
     centred = weights - weights.mean(0)
@@ -52,7 +61,18 @@ def fit_em(
 
     Returns:
         The fitted ``N(mu, Sigma)`` and the variance of the noise, a scalar tensor.
+
+    Raises:
+        ValueError: if a shape or number does not fit, or there is no sample.
     """
+    _check_trajectories(trajectories)
+    require_trailing("mask", mask, *trajectories.shape[:2])
+    require_bool("mask", mask)
+    if not bool(mask.any()):
+        raise ValueError("mask is False everywhere; expected at least one sample. Set it True where a sample exists.")
+    require_trailing("basis_matrix", basis_matrix, *trajectories.shape[:2], "K")
+    require_positive("ridge", ridge)
+    require_whole("iterations", iterations)
     (num, _, dof), num_basis = trajectories.shape, basis_matrix.shape[-1]
     phi, y = basis_matrix * mask.unsqueeze(-1), trajectories * mask.unsqueeze(-1)
     gram, moment = phi.mT @ phi, phi.mT @ y  # (N, K, K), (N, K, D)
@@ -77,6 +97,14 @@ def fit_em(
         if bool(moved < tolerance):
             break
     return Gaussian(mean, 0.5 * (cov + cov.mT)), noise
+
+
+def _check_trajectories(trajectories: Tensor) -> None:
+    require_trailing("trajectories", trajectories, "D")
+    if trajectories.ndim != 3 or not trajectories.numel():
+        raise ValueError(
+            f"trajectories has shape {tuple(trajectories.shape)}; expected (N, T, D): N demonstrations of T samples."
+        )
 
 
 def _identity(size: int, like: Tensor) -> Tensor:

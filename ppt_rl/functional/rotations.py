@@ -5,6 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ppt_rl.functional.argument_checks import require_instance
+from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.shape_checks import require_same_batch, require_trailing
+
 __all__ = [
     "matrix_to_quat",
     "quat_conjugate",
@@ -26,7 +30,13 @@ def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
 
     Returns:
         ``(*B, 4)`` product.
+
+    Raises:
+        ValueError: if a shape does not fit.
     """
+    require_last_dim("a", a, 4)
+    require_last_dim("b", b, 4)
+    require_same_batch(a=a, b=b)
     aw, av = a[..., :1], a[..., 1:]
     bw, bv = b[..., :1], b[..., 1:]
     w = aw * bw - (av * bv).sum(-1, keepdim=True)
@@ -42,7 +52,11 @@ def quat_conjugate(quat: Tensor) -> Tensor:
 
     Returns:
         ``(*B, 4)`` conjugate.
+
+    Raises:
+        ValueError: if the shape does not fit.
     """
+    require_last_dim("quat", quat, 4)
     return torch.cat([quat[..., :1], -quat[..., 1:]], -1)
 
 
@@ -55,7 +69,13 @@ def quat_rotate(quat: Tensor, vector: Tensor) -> Tensor:
 
     Returns:
         ``(*B, 3)`` rotated vector.
+
+    Raises:
+        ValueError: if a shape does not fit.
     """
+    require_last_dim("quat", quat, 4)
+    require_last_dim("vector", vector, 3)
+    require_same_batch(quat=quat, vector=vector)
     w, u = quat[..., :1], quat[..., 1:].expand_as(vector)
     t = 2.0 * torch.linalg.cross(u, vector)
     return vector + w * t + torch.linalg.cross(u, t)
@@ -69,7 +89,11 @@ def quat_to_matrix(quat: Tensor) -> Tensor:
 
     Returns:
         ``(*B, 3, 3)`` rotation matrix.
+
+    Raises:
+        ValueError: if the shape does not fit.
     """
+    require_last_dim("quat", quat, 4)
     w, x, y, z = quat.unbind(-1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -90,7 +114,11 @@ def matrix_to_quat(matrix: Tensor) -> Tensor:
 
     Returns:
         ``(*B, 4)`` quaternion, w first.
+
+    Raises:
+        ValueError: if the shape does not fit.
     """
+    require_trailing("matrix", matrix, 3, 3)
     m = matrix
     m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     # The entries of 4 q q^T; its row i is 4 q_i q.
@@ -113,7 +141,11 @@ def quat_from_yaw(yaw: Tensor) -> Tensor:
 
     Returns:
         ``(*B, 4)`` quaternion, w first.
+
+    Raises:
+        ValueError: if it is no tensor.
     """
+    require_instance("yaw", yaw, Tensor)
     half = 0.5 * yaw
     zero = torch.zeros_like(half)
     return torch.stack([half.cos(), zero, zero, half.sin()], -1)
@@ -127,7 +159,11 @@ def yaw_from_quat(quat: Tensor) -> Tensor:
 
     Returns:
         ``(*B,)`` yaw in (-pi, pi] [rad].
+
+    Raises:
+        ValueError: if the shape does not fit.
     """
+    require_last_dim("quat", quat, 4)
     w, x, y, z = quat.unbind(-1)
     return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -140,5 +176,9 @@ def vee(matrix: Tensor) -> Tensor:
 
     Returns:
         ``(*B, 3)`` vector.
+
+    Raises:
+        ValueError: if the shape does not fit.
     """
+    require_trailing("matrix", matrix, 3, 3)
     return torch.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], -1)

@@ -12,10 +12,15 @@ from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor, ValueOperator
 
+from ppt_rl.functional.argument_checks import require_whole
+from ppt_rl.functional.checks import require_positive
+
 __all__ = ["HIDDEN", "InputNorm", "Mirror", "make_actor", "make_critic", "update_input_norm"]
 
 #: Hidden layers of actor and critic (paper, section "Common Experimental Setup").
 HIDDEN = (256, 256, 128)
+#: Largest number of inputs or actions.
+_WIDEST = 100_000
 
 
 class InputNorm(nn.Module):
@@ -97,7 +102,7 @@ class _Network(nn.Module):
         self.mlp = MLP(in_features=in_size, out_features=out_size, num_cells=list(HIDDEN), activation_class=nn.ReLU)
         self.head = head
         for name, size, signs in zip(("in", "out"), (in_size, out_size), mirror or (None, None), strict=True):
-            if signs is not None and (len(signs) != size or any(abs(sign) != 1 for sign in signs)):
+            if signs is not None and (len(signs) != size or any(sign not in (1, -1) for sign in signs)):
                 raise ValueError(
                     f"mirror has the factors {list(signs)} for {size} entries; expected +1 or -1 for each."
                 )
@@ -110,6 +115,11 @@ class _Network(nn.Module):
         if self.mirrored_in is not None:
             y = 0.5 * (y + self.mirrored_out * self.mlp(self.norm(self.mirrored_in * x)))
         return self.head(y)
+
+
+def _check_keys(in_keys: Sequence[str]) -> None:
+    if isinstance(in_keys, str) or not isinstance(in_keys, Sequence) or not in_keys:
+        raise ValueError(f"in_keys is {in_keys!r}; expected a list of one or more observations.")
 
 
 def make_actor(
@@ -139,8 +149,14 @@ def make_actor(
         The actor. Set its input statistics with :func:`update_input_norm`.
 
     Raises:
-        ValueError: if the mirror does not fit the sizes.
+        ValueError: if a number is out of range, or the mirror does not fit the sizes.
     """
+    _check_keys(in_keys)
+    in_size, action_size = (
+        require_whole("in_size", in_size, 1, _WIDEST),
+        require_whole("action_size", action_size, 1, _WIDEST),
+    )
+    require_positive("initial_scale", initial_scale)
     head = AddStateIndependentNormalScale(action_size, scale_lb=1e-3, init_value=math.log(initial_scale))
     network = _Network(in_size, action_size, head, mirror)
     with torch.no_grad():
@@ -165,7 +181,12 @@ def make_critic(in_keys: Sequence[str], in_size: int) -> ValueOperator:
 
     Returns:
         The critic. Set its input statistics with :func:`update_input_norm`.
+
+    Raises:
+        ValueError: if there is no observation, or the size is out of range.
     """
+    _check_keys(in_keys)
+    in_size = require_whole("in_size", in_size, 1, _WIDEST)
     return ValueOperator(_Network(in_size, 1, nn.Identity()), in_keys=list(in_keys))
 
 
@@ -175,7 +196,19 @@ def update_input_norm(module: TensorDictModule, data: TensorDictBase) -> None:
     Args:
         module: an actor from :func:`make_actor` or a critic from :func:`make_critic`.
         data: contains the observations that the module reads, ``(*B, n_i)`` each.
+
+    Raises:
+        ValueError: if the module has no input statistics.
+        KeyError: if an observation is missing.
     """
-    norm = next(part for part in module.modules() if isinstance(part, InputNorm))
+    norms = [part for part in module.modules() if isinstance(part, InputNorm)]
+    if not norms:
+        raise ValueError(
+            f"module is a {type(module).__name__} without input statistics; expected one of make_actor or make_critic."
+        )
     inner = module[0] if isinstance(module, ProbabilisticActor) else module
-    norm.update(*(data.get(key) for key in inner.in_keys))
+    inputs = [data.get(key, None) for key in inner.in_keys]
+    missing = [key for key, value in zip(inner.in_keys, inputs, strict=True) if value is None]
+    if missing:
+        raise KeyError(f"the data lacks {missing}; expected the observations {inner.in_keys} that the module reads.")
+    norms[0].update(*inputs)

@@ -10,11 +10,16 @@ from pytorch_kinematics.frame import Frame, Joint, Link
 from torch import Tensor, nn
 
 from ppt_rl.arms import Arm
-from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.argument_checks import require_in_range, require_instance, require_whole
+from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
 from ppt_rl.functional.impedance import orientation_error
 from ppt_rl.functional.rotations import matrix_to_quat
 
 __all__ = ["Kinematics"]
+
+
+#: Longest tool [m].
+_LONGEST = 2.0
 
 
 def _turn_x(angle: float) -> Tensor:
@@ -73,6 +78,9 @@ class Kinematics(nn.Module):
         tool_length: distance from flange to end-effector point [m]; an environment's is ``env.tool_length``.
         dtype: precision of the kinematic constants, to which inputs are cast.
 
+    Raises:
+        ValueError: if the arm is none, the tool's length is out of range, or the precision is not a floating one.
+
     Examples:
         >>> from ppt_rl.arms import PANDA
         >>> kinematics = Kinematics(PANDA, tool_length=0.15)
@@ -85,8 +93,11 @@ class Kinematics(nn.Module):
 
     def __init__(self, arm: Arm, tool_length: float, dtype: torch.dtype = torch.float32) -> None:
         super().__init__()
+        require_instance("arm", arm, Arm)
+        if not isinstance(dtype, torch.dtype) or not dtype.is_floating_point:
+            raise ValueError(f"dtype is {dtype}; expected torch.float32 or torch.float64.")
         self.arm = arm
-        self.tool_length = float(tool_length)
+        self.tool_length = require_in_range("tool_length", tool_length, 0.0, _LONGEST, "m")
         # `.to()` moves this buffer, and the constants, which are exact in float64, are then built anew to match it.
         self.register_buffer("_anchor", torch.zeros((), dtype=dtype), persistent=False)
         self._build()
@@ -171,8 +182,13 @@ class Kinematics(nn.Module):
             ``(*B, n)`` joint position within the arm's limits [rad].
 
         Raises:
-            ValueError: if a pose is not reached within 0.1 mm and 0.1 mrad.
+            ValueError: if a pose is not reached within 0.1 mm and 0.1 mrad, or an argument does not fit.
         """
+        require_last_dim("pose", pose, 7)
+        require_last_dim("guess", guess, self.arm.num_joints)
+        require_finite("pose", pose)
+        require_finite("guess", guess)
+        iterations, damping = require_whole("iterations", iterations), require_positive("damping", damping)
         position = guess.clone()
         low, high = position.new_tensor(self.arm.joints.position_limits).unbind(-1)
         for _ in range(iterations):

@@ -8,10 +8,18 @@ import torch
 from torch import Tensor, nn
 
 from ppt_rl.functional import promp as law
+from ppt_rl.functional.argument_checks import require_instance, require_numbers, require_whole
 from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive
 from ppt_rl.functional.promp_fit import fit_em, fit_ridge
+from ppt_rl.functional.shape_checks import require_bool, require_trailing
 
 __all__ = ["ProMP"]
+
+
+#: Largest number of degrees of freedom, and of weights in all.
+_MOST_DOF, _MOST_WEIGHTS = 100, 5000
+#: Largest number of samples at once.
+_MOST_SAMPLES = 1_000_000
 
 
 class ProMP(nn.Module):
@@ -20,8 +28,8 @@ class ProMP(nn.Module):
     Centres, widths and prior are part of ``state_dict``. The prior is a standard normal until it is fitted or loaded.
 
     Args:
-        num_basis: number of basis functions K, at least 2.
-        num_dof: number of task-space degrees of freedom D.
+        num_basis: number of basis functions K, 2 to 1000.
+        num_dof: number of task-space degrees of freedom D, 1 to 100.
         duration: time from phase 0 to phase 1 [s].
         overlap: width of a basis function as a multiple of the distance between centres [-].
         centres: ``(K,)`` centres in phase; None spreads them evenly over [0, 1].
@@ -56,24 +64,23 @@ class ProMP(nn.Module):
         widths: Tensor | None = None,
     ) -> None:
         super().__init__()
-        if num_dof < 1:
-            raise ValueError(f"num_dof is {num_dof}; expected at least 1 degree of freedom.")
-        even_centres, even_widths = law.spread_centres(num_basis, require_positive("overlap", overlap))
-        centres = even_centres if centres is None else centres
-        widths = even_widths if widths is None else widths
-        if centres.shape != (num_basis,) or widths.shape != (num_basis,):
-            raise ValueError(
-                f"centres {tuple(centres.shape)} and widths {tuple(widths.shape)}; expected ({num_basis},) each."
-            )
+        even_centres, even_widths = law.spread_centres(num_basis, overlap)
+        self.num_basis, self.num_dof = int(num_basis), require_whole("num_dof", num_dof, 1, _MOST_DOF)
+        centres = even_centres if centres is None else require_numbers("centres", centres, (self.num_basis,))
+        widths = even_widths if widths is None else require_numbers("widths", widths, (self.num_basis,))
         if not bool((widths > 0).all()):
             raise ValueError(f"widths are {widths.tolist()}; expected positive numbers.")
-        self.num_basis, self.num_dof = int(num_basis), int(num_dof)
         self.duration = require_positive("duration", duration, "s")
         dtype = torch.get_default_dtype()
-        size = num_basis * num_dof
+        size = self.num_basis * self.num_dof
+        if size > _MOST_WEIGHTS:
+            raise ValueError(
+                f"num_basis is {num_basis} and num_dof {num_dof}; expected at most {_MOST_WEIGHTS} weights in all, "
+                "since their covariance is a square of that."
+            )
         self.register_buffer("centres", centres.to(dtype))
         self.register_buffer("widths", widths.to(dtype))
-        self.register_buffer("weights_mean", torch.zeros(num_basis, num_dof, dtype=dtype))
+        self.register_buffer("weights_mean", torch.zeros(self.num_basis, self.num_dof, dtype=dtype))
         self.register_buffer("weights_cov", torch.eye(size, dtype=dtype))
 
     @property
@@ -89,7 +96,11 @@ class ProMP(nn.Module):
 
         Returns:
             Three tensors ``(*B, K)``: value, first and second derivative.
+
+        Raises:
+            ValueError: if the phase is no tensor.
         """
+        require_instance("phase", phase, Tensor)
         return law.basis(phase, self.centres.to(phase.dtype), self.widths.to(phase.dtype))
 
     def decode(self, weights: Tensor, phase: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -105,10 +116,7 @@ class ProMP(nn.Module):
         Raises:
             ValueError: if the weights are not ``(*B, K, D)``.
         """
-        if weights.shape[-2:] != (self.num_basis, self.num_dof):
-            raise ValueError(
-                f"weights have shape {tuple(weights.shape)}; expected (*batch, {self.num_basis}, {self.num_dof})."
-            )
+        require_trailing("weights", weights, self.num_basis, self.num_dof)
         value, first, second = self.basis(phase)
         rate = 1.0 / self.duration  # [1/s]
         return law.decode(value, weights), law.decode(first, weights) * rate, law.decode(second, weights) * rate**2
@@ -122,7 +130,11 @@ class ProMP(nn.Module):
 
         Returns:
             ``(num_samples, K, D)`` weights.
+
+        Raises:
+            ValueError: if the number is not whole or below 1.
         """
+        num_samples = require_whole("num_samples", num_samples, 1, _MOST_SAMPLES)
         cov = self.weights_cov.double()
         eye = torch.eye(len(cov), dtype=cov.dtype, device=cov.device)
         factor = torch.linalg.cholesky(cov + 1e-12 * cov.diagonal().amax() * eye).to(self.weights_mean.dtype)
@@ -143,8 +155,9 @@ class ProMP(nn.Module):
             The ProMP itself.
 
         Raises:
-            ValueError: if a shape does not fit, there are fewer than two demonstrations, or a sample is not finite.
+            ValueError: if a shape does not fit, there are fewer than two demonstrations, or a number is not finite.
         """
+        require_instance("demonstrations", demonstrations, Tensor, Sequence)
         if isinstance(demonstrations, Tensor):
             demonstrations = list(demonstrations)
         if len(demonstrations) < 2:
@@ -200,11 +213,15 @@ class ProMP(nn.Module):
         """
         self._check_via(via_phase, via_position, via_cov)
         mask = torch.ones_like(via_phase, dtype=torch.bool) if via_mask is None else via_mask
+        self._check_mask("via_mask", mask, via_phase)
         value, first, _ = self.basis(via_phase.double())
         rows, values, covs, masks = [value], [via_position], [via_cov], [mask]
         if via_velocity is not None:
             if via_velocity_cov is None:
                 raise ValueError("via_velocity came without via_velocity_cov; pass its covariance (*B, M, D, D) too.")
+            self._check_via(via_phase, via_velocity, via_velocity_cov, of="velocity")
+            if via_velocity_mask is not None:
+                self._check_mask("via_velocity_mask", via_velocity_mask, via_phase)
             rows.append(first / self.duration)
             values.append(via_velocity)
             covs.append(via_velocity_cov)
@@ -223,7 +240,15 @@ class ProMP(nn.Module):
         batch = torch.broadcast_shapes(row_mask.shape[:-1], mean.shape[:-1])
         return law.Gaussian(mean.expand(*batch, mean.shape[-1]), cov.expand(*batch, *cov.shape[-2:]))
 
-    def _check_via(self, phase: Tensor, position: Tensor, cov: Tensor) -> None:
+    @staticmethod
+    def _check_mask(name: str, mask: Tensor, phase: Tensor) -> None:
+        require_bool(name, mask)
+        require_last_dim(name, mask, phase.shape[-1])
+
+    def _check_via(self, phase: Tensor, position: Tensor, cov: Tensor, of: str = "position") -> None:
+        cov_name = "via_cov" if of == "position" else f"via_{of}_cov"
+        for name, value in (("via_phase", phase), (f"via_{of}", position), (cov_name, cov)):
+            require_instance(name, value, Tensor)
         count = phase.shape[-1] if phase.ndim else 0
         if count == 0:
             raise ValueError(
@@ -233,7 +258,7 @@ class ProMP(nn.Module):
         dof = self.num_dof
         if position.shape[-2:] != (count, dof) or cov.shape[-3:] != (count, dof, dof):
             raise ValueError(
-                f"via_phase {tuple(phase.shape)}, via_position {tuple(position.shape)}, via_cov {tuple(cov.shape)}; "
+                f"via_phase {tuple(phase.shape)}, via_{of} {tuple(position.shape)}, {cov_name} {tuple(cov.shape)}; "
                 f"expected (*B, {count}), (*B, {count}, {dof}) and (*B, {count}, {dof}, {dof})."
             )
 

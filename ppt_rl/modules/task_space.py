@@ -8,12 +8,15 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from ppt_rl.functional.argument_checks import require_numbers
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.rotations import quat_conjugate, quat_from_yaw, quat_multiply, yaw_from_quat
 
 __all__ = ["TaskSpace"]
 
 _LINEAR = ("x", "y", "z")
+#: Largest difference of a unit quaternion's norm from 1 [-].
+_UNIT = 1e-3
 
 
 class TaskSpace(nn.Module):
@@ -40,12 +43,19 @@ class TaskSpace(nn.Module):
     def __init__(self, axes: Sequence[str], origin: Sequence[float]) -> None:
         super().__init__()
         valid = (*_LINEAR, "yaw")
-        if not axes or len(set(axes)) != len(axes) or any(axis not in valid for axis in axes):
-            raise ValueError(f"axes are {tuple(axes)}; expected one or more distinct names from {valid}.")
-        if len(origin) != 7:
-            raise ValueError(f"origin has {len(origin)} numbers; expected 7: x, y, z, qw, qx, qy, qz.")
-        self.axes = tuple(axes)
-        self.register_buffer("origin", torch.tensor(origin, dtype=torch.get_default_dtype()))
+        names = tuple(axes) if isinstance(axes, Sequence) and not isinstance(axes, str) else ()
+        if not names or any(axis not in valid for axis in names) or len(set(names)) != len(names):
+            shown = names or repr(axes)
+            raise ValueError(f"axes are {shown}; expected one or more distinct names from {valid}.")
+        pose = require_numbers("origin", origin, (7,))
+        norm = float(pose[3:].norm())
+        if abs(norm - 1.0) > _UNIT:
+            raise ValueError(
+                f"origin has the quaternion {tuple(pose[3:].tolist())} of norm {norm:.3g}; expected a unit quaternion "
+                "qw, qx, qy, qz after x, y, z."
+            )
+        self.axes = names
+        self.register_buffer("origin", pose)
 
     @property
     def num_dof(self) -> int:
@@ -60,6 +70,9 @@ class TaskSpace(nn.Module):
 
         Returns:
             ``(*B, 7)`` pose in world [m, -].
+
+        Raises:
+            ValueError: if there are not D coordinates.
         """
         require_last_dim("task-space position", position, self.num_dof)
         origin = self.origin.to(position.dtype)
@@ -83,7 +96,11 @@ class TaskSpace(nn.Module):
 
         Returns:
             ``(*B, 6)`` twist, world axes [m/s, rad/s].
+
+        Raises:
+            ValueError: if there are not D velocities.
         """
+        require_last_dim("task-space velocity", velocity, self.num_dof)
         zero = torch.zeros_like(velocity[..., 0])
         names = (*_LINEAR, "roll", "pitch", "yaw")
         return torch.stack([velocity[..., self.axes.index(name)] if name in self.axes else zero for name in names], -1)
@@ -97,7 +114,12 @@ class TaskSpace(nn.Module):
 
         Returns:
             ``(*B, D)`` difference [m, rad].
+
+        Raises:
+            ValueError: if there are not D coordinates.
         """
+        require_last_dim("position", position, self.num_dof)
+        require_last_dim("other", other, self.num_dof)
         difference = position - other
         if "yaw" in self.axes:
             turns = (difference[..., self.axes.index("yaw")] / (2 * math.pi)).round()
@@ -114,7 +136,11 @@ class TaskSpace(nn.Module):
 
         Returns:
             ``(*B, D)`` coordinates [m, rad].
+
+        Raises:
+            ValueError: if the pose has not 7 numbers.
         """
+        require_last_dim("pose", pose, 7)
         turn = quat_multiply(pose[..., 3:], quat_conjugate(self.origin[3:].to(pose.dtype)).expand_as(pose[..., 3:]))
         columns = {"x": pose[..., 0], "y": pose[..., 1], "z": pose[..., 2], "yaw": yaw_from_quat(turn)}
         return torch.stack([columns[axis] for axis in self.axes], -1)

@@ -7,6 +7,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Binary, TensorSpec
 
+from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.contact import WallTouch, is_touching, wall_contact
 from ppt_rl.functional.contact_via_point import (
@@ -75,6 +76,8 @@ class ContactViaPointTransform(TimedTransform, ObserverTransform):
         self.duration = require_positive("duration", duration, "s")
         self.config = ViaPointConfig() if config is None else config
         self.touch = WallTouch() if touch is None else touch
+        require_instance("config", self.config, ViaPointConfig)
+        require_instance("touch", self.touch, WallTouch)
         if self.config.lookahead > self.duration:
             raise ValueError(
                 f"lookahead is {self.config.lookahead} s; expected at most the primitive's duration, {duration} s."

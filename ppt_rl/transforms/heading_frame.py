@@ -8,7 +8,8 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import TensorSpec
 
-from ppt_rl.functional.checks import require_positive
+from ppt_rl.functional.argument_checks import require_instance
+from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.contact import WallTouch, wall_contact
 from ppt_rl.functional.heading import follow_heading, to_heading
 from ppt_rl.transforms.base import Entries
@@ -70,10 +71,13 @@ class HeadingFrameTransform(TimedTransform, ObserverTransform):
         self.patience = require_positive("patience", patience, "s")
         self.smoothing = require_positive("smoothing", smoothing, "s")
         self.touch = WallTouch() if touch is None else touch
+        require_instance("touch", self.touch, WallTouch)
         self.dt = dt
 
     def _begin(self, *readings: Tensor) -> Entries:
-        _, wrench, start = readings
+        twist, wrench, start = readings
+        for key, value, size in zip(self.in_keys, (twist, wrench, start), (6, 6, 1), strict=True):
+            require_last_dim(str(key), value, size)
         return {"heading": start, "smooth_wrench": wrench}
 
     def _update(self, state: Entries, *readings: Tensor) -> Entries:

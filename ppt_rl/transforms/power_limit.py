@@ -8,6 +8,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import TensorSpec
 
+from ppt_rl.functional.argument_checks import require_in_range, require_instance
 from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.impedance import power
 from ppt_rl.transforms.base import Entries
@@ -69,9 +70,8 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
     ) -> None:
         super().__init__(in_keys=[wrench_key, twist_key], out_keys=[cost_key])
         self.p_max = require_positive("p_max", p_max, "W")
-        self.penalty = float(penalty)
-        if not 0.0 <= self.penalty < float("inf"):
-            raise ValueError(f"penalty is {penalty}; expected a finite number of at least 0 [1/J].")
+        self.penalty = require_in_range("penalty", penalty, 0.0, unit="[1/J]")
+        require_instance("terminate", terminate, bool)
         self.terminate = terminate
         self.reward_key = reward_key
         self.dt = dt

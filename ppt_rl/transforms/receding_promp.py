@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +10,7 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
+from ppt_rl.functional.argument_checks import require_in_range, require_instance, require_numbers
 from ppt_rl.functional.heading import from_heading, to_heading
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
@@ -103,21 +103,19 @@ class RecedingProMPTransform(ProMPTransform):
         dt: float | None = None,
         keys: RecedingKeys | None = None,
     ) -> None:
+        require_instance("promp", promp, ProMP)
+        require_instance("task_space", task_space, TaskSpace)
         if task_space.axes != ("x", "y", "z"):
             raise ValueError(f"task_space has the coordinates {task_space.axes}; expected ('x', 'y', 'z').")
         keys = RecedingKeys() if keys is None else keys
+        require_instance("keys", keys, RecedingKeys)
         super().__init__(
             promp, task_space, residual_scale=residual_scale, replan_steps=replan_steps, dt=dt, action_key=keys.action,
             pose_key=keys.pose, weights_key=keys.weights,
         )  # fmt: skip
         self.keys = keys
-        if max_slip is not None and not 0 <= max_slip < math.inf:
-            raise ValueError(f"max_slip is {max_slip}; expected at least 0 m/s, or None.")
-        self.max_slip = max_slip
-        lead = torch.as_tensor(max_lead, dtype=torch.get_default_dtype())
-        if lead.shape != (3,) or not bool((lead >= 0).all() & lead.isfinite().all()):
-            raise ValueError(f"max_lead is {max_lead}; expected three numbers of at least 0 m.")
-        self.register_buffer("max_lead", lead)
+        self.max_slip = None if max_slip is None else require_in_range("max_slip", max_slip, 0.0, unit="m/s, or None")
+        self.register_buffer("max_lead", require_numbers("max_lead", max_lead, (3,), low=0.0, unit="m"))
 
     @property
     def _readings(self) -> tuple[NestedKey, ...]:

@@ -8,6 +8,8 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import TensorSpec
 
+from ppt_rl.functional.argument_checks import require_instance
+from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.heading import to_heading
 from ppt_rl.functional.promp import unvec
 from ppt_rl.modules.promp import ProMP
@@ -56,6 +58,17 @@ class ViaPointTransform(ObserverTransform):
         prefix: tuple[str, ...] = (),
         frame: tuple[NestedKey, NestedKey] | None = None,
     ) -> None:
+        require_instance("promp", promp, ProMP)
+        if isinstance(prefix, str) or not all(isinstance(part, str) for part in prefix):
+            raise ValueError(f"prefix is {prefix!r}; expected a tuple of names, such as ('agent',), or an empty one.")
+        if frame is not None and (isinstance(frame, str) or len(frame) != 2):
+            raise ValueError(f"frame is {frame!r}; expected two keys, of pose and heading, or None.")
+        if frame is not None and promp.num_dof != 3:
+            raise ValueError(
+                f"frame is {frame!r}, but the ProMP has {promp.num_dof} degrees of freedom; expected 3, which are "
+                "expressed in heading axes. Leave frame out."
+            )
+
         def keys(names: tuple[str, ...]) -> list[NestedKey]:
             return [(*prefix, name) if prefix else name for name in names]
 
@@ -72,6 +85,7 @@ class ViaPointTransform(ObserverTransform):
         mask = tensordict.get(self._position_keys[3], None)
         velocity = [tensordict.get(key, None) for key in self._velocity_keys]
         if self.frame is not None:
+            require_last_dim("pose", readings[3], 7)
             pose, heading = readings[3], readings[4].unsqueeze(-2)
             position, cov = _in_frame(position - pose[..., None, :3], cov, heading)
             if velocity[0] is not None and velocity[1] is not None:

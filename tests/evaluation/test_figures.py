@@ -14,7 +14,7 @@ def test_a_moving_average_equals_the_mean_over_its_window():
 
 
 def test_a_window_below_one_is_refused():
-    with pytest.raises(ValueError, match="expected at least 1"):
+    with pytest.raises(ValueError, match="expected a whole number of at least 1"):
         moving_average(np.zeros(3), 0)
 
 

@@ -133,12 +133,14 @@ def test_a_missing_checkpoint_is_named(tmp_path):
         load_policy(tmp_path / "nothing.torchrl")
 
 
-@pytest.mark.parametrize(("episodes", "name", "message"), [(0, "a.mp4", "film is 0"), (1, "a.gif", r"ends in \.mp4")])
+@pytest.mark.parametrize(
+    ("episodes", "name", "message"), [(0, "a.mp4", "episodes is 0; expected"), (1, "a.gif", r"ends in \.mp4")]
+)
 def test_an_impossible_film_is_refused(trained, tmp_path, episodes, name, message):
     with pytest.raises(ValueError, match=message):
         film(load_policy(trained), tmp_path / name, episodes=episodes, seed=0)
 
 
 def test_no_episodes_is_an_error(trained):
-    with pytest.raises(ValueError, match="expected at least 1"):
+    with pytest.raises(ValueError, match="episodes is 0; expected a whole number from 1 to"):
         evaluate(load_policy(trained), episodes=0, seed=0)

@@ -89,7 +89,7 @@ def test_a_recipe_that_moved_is_named_and_can_be_given(mine, trained, tmp_path):
     run = next((moved / "run" / "checkpoints").glob("*.torchrl"))
     policy = load_policy(run, recipe=moved / "ppo_mine_push.py")
     assert policy.recipe.file == (moved / "ppo_mine_push.py").resolve()
-    with pytest.raises(CheckpointMismatch, match="'mine_push'; the recipe makes 'pp_push'"):
+    with pytest.raises(CheckpointMismatch, match="'mine_push'; expected a recipe of it, and 'pp_push' makes 'pp_push'"):
         load_policy(run, recipe="pp_push")
 
 

@@ -236,7 +236,7 @@ def test_the_summary_before_any_step_is_zero():
 @pytest.mark.parametrize("name", ["p_max", "contact_force", "cutoff"])
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan])
 def test_constants_that_are_not_positive_are_refused(name, bad):
-    with pytest.raises(ValueError, match=f"{name} is {bad}; expected a number above 0"):
+    with pytest.raises(ValueError, match=f"{name} is {bad}; expected a finite number above 0"):
         MetricsConfig(**{name: bad})
 
 

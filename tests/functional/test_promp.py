@@ -70,7 +70,7 @@ def test_centres_are_spread_evenly_and_widths_are_overlap_times_their_distance()
 
 
 def test_a_single_basis_function_is_refused():
-    with pytest.raises(ValueError, match="num_basis is 1; expected at least 2"):
+    with pytest.raises(ValueError, match="num_basis is 1; expected a whole number from 2 to"):
         spread_centres(1)
 
 

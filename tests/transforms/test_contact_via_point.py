@@ -254,10 +254,10 @@ def test_a_number_that_is_not_positive_is_refused_by_name(name: str, value: floa
         ({"lookahead": 0.9}, r"lookahead is 0\.9 s; expected at most the primitive's duration, 0\.8 s"),
         ({"turn": 0.0}, r"turn is 0\.0 rad; expected a number above 0 and below pi"),
         ({"turn": 3.2}, r"turn is 3\.2 rad"),
-        ({"capacity": 0}, "capacity is 0; expected at least 1"),
+        ({"capacity": 0}, "capacity is 0; expected a whole number from 1 to"),
         ({"on": 0.4, "off": 0.5}, r"on and off are 0\.4 and 0\.5 N; expected on >= off > 0"),
         ({"off": 0.0}, r"on and off are 1\.0 and 0\.0 N"),
-        ({"offset": -0.001}, r"offset is -0\.001 m; expected at least 0"),
+        ({"offset": -0.001}, r"offset is -0\.001; expected a finite number of at least 0 m"),
         ({"std": (0.02, 0.0, 0.02)}, r"std is 0\.0; expected a finite number above 0 m"),
     ],
 )

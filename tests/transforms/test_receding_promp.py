@@ -171,7 +171,7 @@ def test_a_slip_without_the_measured_twist_is_refused_by_the_key() -> None:
 
 @pytest.mark.parametrize("slip", [-0.01, math.nan, math.inf])
 def test_an_impossible_slip_is_refused(slip: float) -> None:
-    with pytest.raises(ValueError, match=r"max_slip is .*; expected at least 0 m/s, or None"):
+    with pytest.raises(ValueError, match=r"max_slip is .*; expected a finite number of at least 0 m/s, or None"):
         RecedingProMPTransform(line(), maze_space(), max_slip=slip)
 
 

@@ -1,0 +1,109 @@
+"""Bad arguments of environments, of the physics behind them, and of what is drawn at random."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from ppt_rl.arms import UR5E
+from ppt_rl.envs import (
+    ArmEnv,
+    EngineConfig,
+    MazeEnv,
+    MazeRanges,
+    MazeRewards,
+    PandaEnv,
+    PushEnv,
+    PushRandomisation,
+    PushRewards,
+    StraightRanges,
+    random_maze,
+    random_straight,
+)
+from ppt_rl.envs.maze.start import MazeRandomisation
+from ppt_rl.envs.models import Tool
+from tests.bad_inputs.entry import bad, each
+
+__all__ = ["ENTRIES"]
+
+_POSITIVE, _WHOLE = "{name} is {value}; expected a finite number above 0", "{name} is {value}; expected a whole number"
+_MEANT = "{name}.*{value}.*; expected"
+_PAIR = "expected (a pair .low, high. of finite numbers|low <= high)"
+
+_ENGINE = [
+    *each(EngineConfig, "physics_dt", (0.0, -0.001, math.nan, math.inf, "fast", None), _POSITIVE),
+    *each(EngineConfig, "num_threads", (0, -2), _MEANT),
+    *each(EngineConfig, "num_threads", (1.5, "all", math.nan, 10**9), _MEANT, pending=True),
+    bad(EngineConfig, "audit.*yes.*; expected", audit="yes", pending=True),
+    bad(Tool, "length.*-0.1.*; expected", -0.1, 0.01, pending=True),
+    bad(Tool, "stem_radius.*nan.*; expected", 0.1, math.nan, pending=True),
+    bad(Tool, "bar.*; expected", 0.1, 0.01, bar=(0.1, 0.1), pending=True),
+]
+_ARMS = [
+    *each(ArmEnv, "num_envs", (0, -1, 2.5, True), _WHOLE),
+    *each(ArmEnv, "num_envs", ("two", None, math.nan, [4], 10**9), _MEANT, pending=True),
+    *each(ArmEnv, "control_dt", (0.0, -0.01, math.nan, "fast"), _POSITIVE),
+    bad(ArmEnv, "control_dt=0.0007 s is 1.4 times physics_dt=0.0005 s; expected a whole number. Set", control_dt=7e-4),
+    *each(ArmEnv, "duration", (0.0, -3.0, math.nan, math.inf, "long"), _POSITIVE),
+    bad(ArmEnv, "arm.*'panda'.*; expected", arm="panda", pending=True),
+    bad(ArmEnv, "arm.*None.*; expected", arm=None, pending=True),
+    *each(ArmEnv, "seed", (-1, 1.5, "lucky"), _MEANT, pending=True),
+    bad(ArmEnv, "dtype.*int64.*; expected", dtype=torch.int64, pending=True),
+    bad(ArmEnv, "device.*tpu9.*; expected", device="tpu9", pending=True),
+    bad(ArmEnv, "engine.*0.001.*; expected", engine=0.001, pending=True),
+    bad(ArmEnv, "(engine|warp).*; expected", engine="warp", pending=True),
+    bad(PandaEnv, "arm is 'ur5e', but PandaEnv is the Panda's environment. Use", arm=UR5E),
+]
+_PUSH = [
+    bad(PushEnv, r"box_sizes are \(0.07,\); expected one or more of \(0.06, 0.08\) m", box_sizes=(0.07,)),
+    bad(PushEnv, r"box_sizes are \(\); expected", box_sizes=()),
+    bad(PushEnv, r"box_sizes are \(nan,\); expected", box_sizes=(math.nan,)),
+    bad(PushEnv, "box_sizes.*0.06.*; expected", box_sizes=0.06, pending=True),
+    bad(PushEnv, "box_sizes.*; expected", box_sizes="0.06"),
+    *each(PushEnv, "success_radius", (0.0, math.nan, -0.02), _MEANT),
+    *each(PushEnv, "success_radius", (math.inf, "near", None), _MEANT, pending=True),
+    bad(PushEnv, "randomisation.*; expected", randomisation={"mass": (1.0, 1.0)}, pending=True),
+    bad(PushEnv, "rewards.*; expected", rewards=PushRandomisation(), pending=True),
+    bad(PushRandomisation, rf"PushRandomisation.mass is \(1.2, 0.8\); {_PAIR}", mass=(1.2, 0.8)),
+    bad(PushRandomisation, rf"PushRandomisation.mass is \(nan, 1.0\); {_PAIR}", mass=(math.nan, 1.0)),
+    bad(PushRandomisation, rf"PushRandomisation.box_x is \(0.4, inf\); {_PAIR}", box_x=(0.4, math.inf)),
+    bad(PushRandomisation, rf"PushRandomisation.box_x is 0.45; {_PAIR}", box_x=0.45),
+    bad(PushRandomisation, rf"PushRandomisation.goal_x is \(0.6,\); {_PAIR}", goal_x=(0.6,)),
+    bad(PushRandomisation, rf"PushRandomisation.goal_y is \('left', 'right'\); {_PAIR}", goal_y=("left", "right")),
+    bad(PushRandomisation, r"friction.*\(-0.5, -0.1\).*; expected", friction=(-0.5, -0.1), pending=True),
+    bad(PushRandomisation, r"mass.*\(-1.0, 0.0\).*; expected", mass=(-1.0, 0.0), pending=True),
+    *each(PushRewards, "progress", (math.nan, "high", None), _MEANT, pending=True),
+    *each(PushRewards, "force_limit", (-1.0, math.inf), _MEANT, pending=True),
+]
+_RNG = np.random.default_rng(0)
+_MAZES = [
+    bad(MazeEnv.of, "layouts is empty; expected at least one MazeLayout", []),
+    bad(MazeEnv.of, "layout.*'maze.json'.*; expected", ["maze.json"], pending=True),
+    bad(MazeEnv, "source.*; expected", 1, "random", pending=True),
+    *each(MazeEnv.straight, "max_force", (0.0, -40.0, math.nan), _MEANT),
+    *each(MazeEnv.straight, "max_force", ("soft", None), _MEANT, pending=True),
+    bad(MazeEnv.straight, "ranges.*; expected", ranges=MazeRanges(), pending=True),
+    bad(MazeEnv.mazes, "ranges.*; expected", ranges={"width": (0.05, 0.06)}, pending=True),
+    bad(StraightRanges, rf"StraightRanges.width is \(0.06, 0.05\); {_PAIR}", width=(0.06, 0.05)),
+    bad(StraightRanges, rf"StraightRanges.x is None; {_PAIR}", x=None),
+    bad(StraightRanges, rf"StraightRanges.length is \(0.2, inf\); {_PAIR}", length=(0.2, math.inf)),
+    bad(MazeRanges, rf"MazeRanges.friction is \(0.4, 0.1\); {_PAIR}", friction=(0.4, 0.1)),
+    bad(MazeRanges, rf"MazeRanges.turn is \(nan, 0.5\); {_PAIR}", turn=(math.nan, 0.5)),
+    bad(MazeRanges, r"turns.*\(1.5, 2.5\).*; expected", turns=(1.5, 2.5), pending=True),
+    bad(MazeRanges, r"turns.*\(-3, -1\).*; expected", turns=(-3, -1), pending=True),
+    bad(MazeRanges, r"discs.*1000000000.*; expected", discs=(0, 10**9), pending=True),
+    bad(MazeRandomisation, rf"MazeRandomisation.along is \(0.04, 0.03\); {_PAIR}", along=(0.04, 0.03)),
+    bad(MazeRandomisation, "puts the tool into a wall; expected along >= 0.02 m", along=(0.0, 0.01)),
+    bad(MazeRandomisation, "puts the tool into a wall; expected .* across within", across=(-1.0, 1.0)),
+    bad(random_maze, "none of 2000 layouts within .* fits .*; widen", _RNG, MazeRanges(length=(3.0, 3.0))),
+    bad(random_straight, "none of 2000 layouts within .* fits .*; widen", _RNG, StraightRanges(x=(5.0, 5.0))),
+    bad(random_maze, r"turns.*\(1000000, 1000000\).*; expected", _RNG, MazeRanges(turns=(10**6, 10**6)), pending=True),
+    bad(random_maze, "rng.*42.*; expected", 42, pending=True),
+    bad(random_maze, "arm.*'panda'.*; expected", _RNG, arm="panda", pending=True),
+    *each(MazeRewards, "cruise", (0.0, math.nan, "slow"), _MEANT, pending=True),
+    *each(MazeRewards, "force_scale", (0.0, math.inf), _MEANT, pending=True),
+]
+
+ENTRIES = [*_ENGINE, *_ARMS, *_PUSH, *_MAZES]
