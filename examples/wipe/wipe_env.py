@@ -95,7 +95,8 @@ class WipeEnv(ArmEnv):
 
     def _begin(self, rows: Rows) -> np.ndarray:
         episode, index = self._episode, torch.from_numpy(rows)
-        drawn = np.stack([self._rng.uniform(*bounds, size=len(rows)) for bounds in RANGES.values()], -1)
+        low, high = np.asarray(list(RANGES.values())).T
+        drawn = low + (high - low) * self._generators.uniform(rows, len(RANGES))
         episode.replace(index, drawn=drawn, front=0.0, wiped=0.0)
         along = torch.cat([episode.direction.cos(), episode.direction.sin()], -1)
         begin = torch.cat([episode.begin_x, episode.begin_y], -1)

@@ -48,7 +48,7 @@ class ArmEnv(BatchedEnv):
         arm: the arm; later ``env.arm``.
         duration: episode length [s].
         control_dt: time between actions [s]; later ``env.control_dt``.
-        seed: seed of the randomisation; None draws one.
+        seed: seed of the randomisation; None draws one from torch's generator, as torchrl's environments do.
         dtype: precision of what the environment returns.
         device: device of what the environment returns.
         engine: options of the physics; None takes the defaults; later ``env.engine_config``.
@@ -88,7 +88,7 @@ class ArmEnv(BatchedEnv):
         self._prepare(model)
         self._torque_limit = torch.tensor(arm.joints.torque_limits, dtype=torch.float64)
         self._make_specs()
-        self.set_seed(seed if seed is not None else int(np.random.SeedSequence().generate_state(1)[0]))
+        self.set_seed(seed)
 
     @property
     def tool_length(self) -> float:

@@ -18,6 +18,7 @@ from ppt_rl.envs.models import remove_visual_geoms
 from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.envs.physics import EngineConfig, ThreadedPhysics, substeps_per_control_step
 from ppt_rl.envs.rendering import RenderedScenes
+from ppt_rl.envs.row_generators import RowGenerators
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.functional.checks import require_positive
 
@@ -32,6 +33,9 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
 
     An episode is truncated after ``duration`` (or terminated, see ``horizon_terminates``), and at once where the
     physics diverges. A diverged environment keeps its last good readings, so no NaN reaches a collector.
+
+    Every environment has its own random generator, so the episodes of row ``i`` do not depend on the size of the batch.
+    To repeat row 817 alone, set ``env.first_row = 817`` on a batch of one, then seed it: ``env.set_seed(0)``.
 
     A copy (``copy.deepcopy``, ``pickle``) continues like the original; see :class:`~ppt_rl.envs.lifetime.Lifetime`.
 
@@ -50,6 +54,10 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
     #: Whether the horizon is the end of the task (``terminated``, so that nothing is bootstrapped beyond it) or only
     #: the end of the record (``truncated``).
     horizon_terminates = False
+    #: Row of the first environment, whose random numbers it draws; 0 but where one row of a larger batch is repeated.
+    first_row = 0
+    #: Random stream: environments of different streams draw different numbers from the same seed.
+    _stream = 0
 
     def __init__(
         self,
@@ -206,4 +214,6 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         return TensorDict(observation, batch_size=self.batch_size, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
-        self._rng = np.random.default_rng(seed)
+        if seed is None:  # as torchrl's environments do, so that torch.manual_seed governs it
+            seed = int(torch.empty((), dtype=torch.int64).random_())
+        self._generators = RowGenerators(seed, self.num_envs, stream=self._stream, first_row=self.first_row)

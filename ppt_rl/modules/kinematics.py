@@ -196,11 +196,14 @@ class Kinematics(nn.Module):
             error = torch.cat(
                 [pose[..., :3] - reached[..., :3], orientation_error(reached[..., 3:], pose[..., 3:])], -1
             )
-            if bool(error.abs().amax() < 1e-7):
+            searching = (
+                error.abs().amax(-1, keepdim=True) >= 1e-7
+            )  # each row by itself: others do not change its result
+            if not bool(searching.any()):
                 break
             gram = jacobian @ jacobian.mT + damping**2 * torch.eye(6, dtype=jacobian.dtype, device=jacobian.device)
             step = (jacobian.mT @ torch.linalg.solve(gram, error.unsqueeze(-1))).squeeze(-1)
-            position = torch.maximum(torch.minimum(position + step, high), low)
+            position = torch.where(searching, torch.maximum(torch.minimum(position + step, high), low), position)
         # The orientation error also vanishes half a turn away, where the quaternions are orthogonal.
         turned_over = (reached[..., 3:] * pose[..., 3:]).sum(-1).abs() < 0.5
         missed = (error.abs().amax(-1) > 1e-4) | turned_over

@@ -154,9 +154,6 @@ class MazeEnv(ArmEnv):
     def _scene(self) -> Any:
         return maze_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt)
 
-    def _set_seed(self, seed: int | None) -> None:
-        self._rng = np.random.default_rng(None if seed is None else [seed, self._stream])
-
     def _prepare(self, model: Any) -> None:
         self._episode = MazeEpisodes(self.num_envs, self.dtype)
         self.layouts: list[MazeLayout | None] = [None] * self.num_envs
@@ -164,13 +161,14 @@ class MazeEnv(ArmEnv):
     def _begin(self, rows: Rows) -> np.ndarray:
         positions, headings = [], []
         for row in rows:
-            layout = self._source(self._rng)
+            generator = self._generators[row]
+            layout = self._source(generator)
             corridor = build_corridor(layout)
             self.layouts[row] = layout
             self._episode.write(int(row), corridor, layout.friction)
             self._write_parameters(self.engine.models[row], int(row))
-            positions.append(draw_start(self._rng, self.randomisation, layout, corridor, self.tool.stem_radius))
-            headings.append(layout.heading + self._rng.uniform(*self.randomisation.heading_error))
+            positions.append(draw_start(generator, self.randomisation, layout, corridor, self.tool.stem_radius))
+            headings.append(layout.heading + generator.uniform(*self.randomisation.heading_error))
         self._episode.begin(rows, np.asarray(headings))
         pose = torch.tensor(self.start_pose, dtype=torch.float64).repeat(len(rows), 1)
         pose[:, :3] = torch.from_numpy(np.asarray(positions))

@@ -99,7 +99,7 @@ class PushEnv(ArmEnv):
         self._episode = PushEpisodes(self.num_envs, self.dtype)
 
     def _begin(self, rows: Rows) -> np.ndarray:
-        drawn = draw_episodes(self._rng, len(rows), self.randomisation, self.box_sizes)
+        drawn = draw_episodes(self._generators, rows, self.randomisation, self.box_sizes)
         self._episode.write(rows, drawn)
         for row in rows:
             self._write_parameters(self.engine.models[row], int(row))

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ppt_rl.envs.arm import Rows
 from ppt_rl.envs.episodes import Episodes
+from ppt_rl.envs.row_generators import RowGenerators
 from ppt_rl.functional.checks import require_ranges
 
 __all__ = ["BOXES", "PushDistances", "PushEpisodes", "PushRandomisation", "draw_episodes"]
@@ -120,13 +121,13 @@ class PushEpisodes(Episodes):
 
 
 def draw_episodes(
-    rng: np.random.Generator, count: int, ranges: PushRandomisation, box_sizes: Sequence[float]
+    generators: RowGenerators, rows: Rows, ranges: PushRandomisation, box_sizes: Sequence[float]
 ) -> dict[str, np.ndarray]:
     """Draw episodes at random.
 
     Args:
-        rng: source of randomness.
-        count: number of episodes.
+        generators: source of randomness of each environment.
+        rows: indices of the environments.
         ranges: ranges to draw from.
         box_sizes: edge lengths of the boxes to draw from [m].
 
@@ -134,15 +135,17 @@ def draw_episodes(
         Arrays with one entry per episode: ``size`` [m], ``mass`` [kg], ``box``, ``goal`` and ``tool`` (x, y) [m],
         ``yaw`` [rad], ``friction`` [-].
     """
-
-    def uniform(low_high: tuple[float, float]) -> np.ndarray:
-        return rng.uniform(*low_high, size=count)
-
-    size = rng.choice(np.asarray(box_sizes), size=count)
-    mass = np.asarray([BOXES[float(edge)] for edge in size]) * uniform(ranges.mass)
-    box = np.stack([uniform(ranges.box_x), uniform(ranges.box_y)], -1)
-    goal = np.stack([uniform(ranges.goal_x), uniform(ranges.goal_y)], -1)
-    tool = np.stack([uniform(ranges.tool_x), uniform(ranges.tool_y)], -1)
-    yaw = uniform(ranges.box_yaw)
-    friction = uniform(ranges.friction)
-    return {"size": size, "mass": mass, "box": box, "goal": goal, "tool": tool, "yaw": yaw, "friction": friction}
+    names = list(vars(ranges))
+    low, high = np.asarray([getattr(ranges, name) for name in names]).T
+    uniform = generators.uniform(rows, len(names) + 1)
+    drawn = dict(zip(names, (low + (high - low) * uniform[:, 1:]).T, strict=True))
+    size = np.asarray(box_sizes)[(uniform[:, 0] * len(box_sizes)).astype(int)]
+    return {
+        "size": size,
+        "mass": np.asarray([BOXES[float(edge)] for edge in size]) * drawn["mass"],
+        "box": np.stack([drawn["box_x"], drawn["box_y"]], -1),
+        "goal": np.stack([drawn["goal_x"], drawn["goal_y"]], -1),
+        "tool": np.stack([drawn["tool_x"], drawn["tool_y"]], -1),
+        "yaw": drawn["box_yaw"],
+        "friction": drawn["friction"],
+    }

@@ -31,7 +31,7 @@ def test_success_is_a_flat_box_within_the_radius_at_the_end_of_the_episode_and_n
     env = PandaPushEnv(7, duration=0.03, success_radius=0.02, seed=0)
     observation = env.reset()
     cases = [  # distance [m], height [m], tilt [degrees]
-        (0.0, 0.0, 0), (0.019, 0.0, 0), (0.021, 0.0, 0), (-0.021, 0.0, 0), (0.0, 0.02, 0), (0.0, 0.001, 15),
+        (0.0, 0.0, 0), (0.019, 0.0, 0), (0.021, 0.0, 0), (-0.021, 0.0, 0), (0.0, 0.02, 0), (0.0, 0.001, 25),
         (0.1, 0.0, 0),
     ]  # fmt: skip
     for row, (distance, height, tilt) in enumerate(cases):
