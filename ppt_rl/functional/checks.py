@@ -14,6 +14,7 @@ from ppt_rl.functional.argument_checks import require_number, shown
 
 __all__ = [
     "Bounds",
+    "are_finite",
     "require_all",
     "require_at_most",
     "require_bounds",
@@ -114,6 +115,18 @@ def require_all(condition: Tensor, message: str) -> None:
         torch._assert_async(condition.all(), message)
     elif not bool(condition.all()):
         raise ValueError(message)
+
+
+def are_finite(value: Tensor) -> bool:
+    """Whether a tensor on the CPU is known to have finite entries only, from their sum.
+
+    Args:
+        value: any tensor.
+
+    Returns:
+        False where an entry is not finite, or where nothing is known: the sum overflows, or the tensor is elsewhere.
+    """
+    return value.device.type == "cpu" and math.isfinite(value.detach().sum())
 
 
 def require_finite(name: str, value: Tensor) -> None:

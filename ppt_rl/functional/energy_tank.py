@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
-from torch.nn.functional import threshold
 
-from ppt_rl.functional.checks import require_finite
+from ppt_rl.functional.checks import are_finite, require_finite
 
 __all__ = ["TANK_LAWS", "EnergyTankStep", "TankLaw", "energy_tank"]
 
@@ -85,21 +85,39 @@ def energy_tank(
     Source:
         Paper, eq. (10) (problem definition) and section "Energy-Tank Layer for Safe Execution".
     """
+    ulp = _coarsest(effort.dtype, flow.dtype, energy.dtype)
+    p, fits = _power(effort, flow, energy, ulp)
+    tiny, ulps = torch.finfo(energy.dtype).tiny, 4 * ulp
+    usable = torch.threshold(energy, tiny / ulps, 0.0)  # [J]
+    limit = (usable / dt).clamp_max(p_max) / p.clamp_min(eps)
+    limit = limit if fits is None else limit * fits
+    valve = torch.threshold((limit * (1 - ulps)).clamp_max(1.0), tiny, 0.0)
+    power = valve * p
+    level = torch.where(p > 0, energy * (1 - ulps), energy) - power * (dt * (1 + ulps))  # [J]
+    step = EnergyTankStep(valve, level.clamp(0.0, e_max), power)
+    return step if p.dtype == energy.dtype else EnergyTankStep(*(value.to(energy.dtype) for value in step))
+
+
+@cache
+def _coarsest(*dtypes: torch.dtype) -> float:
+    """Distance from 1 to the next number in the coarsest of some formats."""
+    return max(torch.finfo(dtype).eps for dtype in dtypes)
+
+
+def _power(effort: Tensor, flow: Tensor, energy: Tensor, ulp: float) -> tuple[Tensor, Tensor | None]:
+    """Power with a bound on its rounding error ``(*B, 1)`` [W], zero where it is too large for the format.
+
+    The second value says where it fits; None stands for everywhere.
+    """
+    terms = effort * flow
+    share = 0.5 * (terms.shape[-1] + 3) * ulp
+    p = torch.add(terms.sum(-1, keepdim=True).abs(), terms.abs().sum(-1, keepdim=True), alpha=share)
+    if are_finite(p + energy):  # then so are effort, flow and level
+        return p, None
     for name, value in (("effort", effort), ("flow", flow), ("tank_energy", energy)):
         require_finite(f"{name} of the energy tank", value)
-    ulp = max(torch.finfo(value.dtype).eps for value in (effort, flow, energy))
-    terms = effort * flow
-    rounding = 0.5 * (terms.shape[-1] + 3) * ulp * terms.abs().sum(-1, keepdim=True)
-    p = terms.sum(-1, keepdim=True).abs() + rounding  # [W]
     fits = p.isfinite()
-    p = torch.where(fits, p, 0.0)
-    tiny, ulps = torch.finfo(energy.dtype).tiny, 4 * ulp
-    usable = threshold(energy, tiny / ulps, 0.0)  # [J]
-    limit = (usable / dt).clamp_max(p_max) / p.clamp_min(eps)
-    valve = threshold((limit * (1 - ulps)).clamp_max(1.0) * fits, tiny, 0.0)
-    power = valve * p
-    level = energy * (1 - ulps * (p > 0).to(energy.dtype)) - power * dt * (1 + ulps)  # [J]
-    return EnergyTankStep(valve.to(energy.dtype), level.clamp(0.0, e_max).to(energy.dtype), power.to(energy.dtype))
+    return torch.where(fits, p, 0.0), fits
 
 
 #: The laws of the tank by name: the values of ``mode`` that an ``EnergyTankTransform`` accepts.

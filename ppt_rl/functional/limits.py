@@ -2,45 +2,63 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
-__all__ = ["factor_into", "scale_change", "scale_into"]
+__all__ = ["EffortBounds", "scale_change", "scale_into"]
 
 
-def factor_into(effort: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    r"""The largest factor up to 1 that brings an effort into a box around zero.
+class EffortBounds(NamedTuple):
+    """A box around zero, and what :func:`scale_into` needs of it.
 
-    .. math:: s = 1 / \max\Big(1,\ \max_i \max\big(\tau_i / h_i,\ \tau_i / l_i\big)\Big)
-
-    Args:
-        effort: ``(*B, N)`` effort: wrench [N, N m] or joint torque [N m].
-        low: ``(N,)`` or ``(*B, N)`` lower bounds l, at most zero.
-        high: likewise the upper bounds h, at least zero.
-
-    Returns:
-        ``(*B, 1)`` factor in [0, 1].
+    Attributes:
+        low: ``(N,)`` or ``(*B, N)`` lower bounds, at most zero, in the unit of the effort.
+        high: likewise the upper bounds, at least zero.
+        inverse_low: their reciprocals; those of a bound of zero are so large that nothing passes in its direction.
+        inverse_high: likewise.
     """
-    tiny = torch.finfo(effort.dtype).tiny  # a bound of zero lets nothing pass in its direction
-    share = torch.maximum(effort / high.clamp_min(tiny), effort / low.clamp_max(-tiny))
-    return share.amax(-1, keepdim=True).clamp_min(1.0).reciprocal()
+
+    low: Tensor
+    high: Tensor
+    inverse_low: Tensor
+    inverse_high: Tensor
+
+    @classmethod
+    def of(cls, low: Tensor, high: Tensor) -> EffortBounds:
+        """Make bounds.
+
+        Args:
+            low: ``(N,)`` or ``(*B, N)`` lower bounds, at most zero.
+            high: likewise the upper bounds, at least zero.
+
+        Returns:
+            The bounds.
+        """
+        tiny = torch.finfo(low.dtype).tiny
+        return cls(low, high, low.clamp_max(-tiny).reciprocal(), high.clamp_min(tiny).reciprocal())
 
 
-def scale_into(effort: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Scale a whole effort into a box around zero, so that it keeps its direction.
+def scale_into(effort: Tensor, bounds: EffortBounds) -> tuple[Tensor, Tensor]:
+    r"""Scale a whole effort into a box around zero, so that it keeps its direction.
+
+    .. math:: \tau' = s\,\tau, \qquad
+        s = 1 / \max\Big(1,\ \max_i \max\big(\tau_i / h_i,\ \tau_i / l_i\big)\Big)
 
     A limit on each component by itself would turn the effort. A torque that does no work could then do work: for
     ``J^T wrench`` with the wrench at right angles to the twist, clipped joint by joint, no bound on the power is left.
 
     Args:
         effort: ``(*B, N)`` effort: wrench [N, N m] or joint torque [N m].
-        low: ``(N,)`` or ``(*B, N)`` lower bounds, at most zero.
-        high: likewise the upper bounds, at least zero.
+        bounds: the box, with lower bounds l and upper bounds h.
 
     Returns:
-        ``(*B, N)`` effort times :func:`factor_into`, within the bounds to the last digit.
+        ``(*B, N)`` scaled effort, within the bounds to the last digit, and ``(*B, 1)`` factor s in [0, 1].
     """
-    return torch.minimum(torch.maximum(factor_into(effort, low, high) * effort, low), high)
+    share = torch.maximum(effort * bounds.inverse_high, effort * bounds.inverse_low).amax(-1, keepdim=True)
+    factor = share.clamp_min(1.0).reciprocal()
+    return torch.minimum(torch.maximum(factor * effort, bounds.low), bounds.high), factor
 
 
 def scale_change(effort: Tensor, last: Tensor, largest: float) -> Tensor:

@@ -37,11 +37,16 @@ def require_same_batch(**values: Tensor) -> None:
     Raises:
         ValueError: if they do not.
     """
-    batches = {value.shape[:-1] for value in values.values()}
-    if len(batches) < 2:
+    first = None
+    for value in values.values():
+        batch = value.shape[:-1]
+        if batch and first is not None and batch != first:
+            break
+        first = batch or first
+    else:  # equal, or without a batch: the usual case, decided without calling torch
         return
     try:
-        torch.broadcast_shapes(*batches)
+        torch.broadcast_shapes(*(value.shape[:-1] for value in values.values()))
     except RuntimeError as error:
         shapes = ", ".join(f"{name} {tuple(value.shape)}" for name, value in values.items())
         raise ValueError(

@@ -47,6 +47,8 @@ class StatefulTransform(Transform):
     macro_step = False
     #: Whether the transform must act at every control step.
     _at_control_rate = False
+    #: Whether what is remembered are copies, which nobody can change in place.
+    _keeps_copies = False
     #: What the error about a missing entry adds, such as who writes that entry.
     _hint = ""
 
@@ -115,29 +117,30 @@ class StatefulTransform(Transform):
 
     # -- memory -------------------------------------------------------------------------------------------------------
 
-    def _memory(self) -> tuple[Memory | None, list[NestedKey]]:
-        """What the environment's side remembers for this transform, if it does, and the keys that are kept."""
+    def _memory(self) -> Memory | None:
+        """What the environment's side remembers for this transform, if it does."""
         parent = self.parent
         if parent is None:
-            return None, []
-        known = parent.__dict__.get(_MEMORY)
-        if known is None:
-            kept = [*self._state_specs(parent.batch_size, self._like()), *self._readings]
-            known = parent.__dict__[_MEMORY] = (memory_of(parent, self._token), kept)
-        return known
+            return None
+        if _MEMORY not in parent.__dict__:
+            keys = [*self._state_specs(parent.batch_size, self._like()), *self._readings]
+            parent.__dict__[_MEMORY] = memory_of(parent, self._token, keys)
+        return parent.__dict__[_MEMORY]
 
     def _remember(self, tensordict: TensorDictBase) -> None:
-        """Keep copies of state and readings, which nobody else can change in place."""
-        memory, kept = self._memory()
+        """Keep state and readings; copies of them, if nobody else may change them in place."""
+        memory = self._memory()
         if memory is not None:
-            for key in kept:
+            for key in memory.keys:
                 value = tensordict.get(key, None)
-                memory[key] = None if value is None else value.clone()
+                memory.entries[key] = value.clone() if self._keeps_copies and value is not None else value
 
     def _remembered(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor | None:
         """An entry as the environment's side remembers it, if it does."""
-        memory, _ = self._memory()
-        return None if memory is None or tensordict.batch_size != self.parent.batch_size else memory.get(key)
+        memory = self._memory()
+        if memory is None or tensordict.batch_size != memory.batch_size:
+            return None
+        return memory.entries.get(key)
 
     def _known(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor | None:
         """An entry as the environment's side remembers it, else as the root has it."""

@@ -10,7 +10,7 @@ from torchrl.data import Bounded, TensorSpec
 
 from ppt_rl.functional.checks import require_all, require_positive
 from ppt_rl.functional.energy_tank import TANK_LAWS
-from ppt_rl.functional.limits import factor_into, scale_into
+from ppt_rl.functional.limits import EffortBounds, scale_into
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.chain import transforms_after
 from ppt_rl.transforms.flow import flow_of_size, same_shape
@@ -85,6 +85,7 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
     """
 
     _at_control_rate = True
+    _keeps_copies = True
 
     def __init__(
         self,
@@ -122,11 +123,12 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         (effort,) = self._require(tensordict, self.action_key)
         flow = self._flow(tensordict, effort)
         energy = self._level(tensordict, effort)
-        effort, factor = self._within_bounds(effort)
+        bounds = self._bounds()
+        effort, factor = (effort, None) if bounds is None else scale_into(effort, bounds)
         step = self.law(effort, flow, energy, p_max=self.p_max, e_max=self.e_max, dt=self.dt, eps=self.eps)
-        tensordict.set(self.action_key, step.valve.to(effort.dtype) * effort)
+        tensordict.set(self.action_key, step.valve * effort)
         self._stash(tensordict, self.energy_key, step.energy)
-        self._stash(tensordict, self.valve_key, step.valve if factor is None else step.valve * factor.to(energy.dtype))
+        self._stash(tensordict, self.valve_key, step.valve if factor is None else step.valve * factor)
         return tensordict
 
     def _flow(self, tensordict: TensorDictBase, effort: Tensor) -> Tensor:
@@ -150,11 +152,12 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
                 "reset or the last step returned. Step from their tensordict, and select this entry too."
             )
         own = self._remembered(tensordict, self.energy_key)
+        if own is not None and own.device.type == "cpu" and torch.equal(given, own):
+            return own
         most, rows = self.e_max if own is None else own, self._stepping(tensordict)
         lawful = given <= most + _SAME_LEVEL * self.e_max
-        lawful = lawful if rows is None else lawful | ~expand_as_right(rows, lawful)
         require_all(
-            lawful,
+            lawful if rows is None else lawful | ~expand_as_right(rows, lawful),
             f"the level {self.energy_key!r} in the tensordict is above the tank's own, which is at most "
             f"e_max={self.e_max} J; expected the one that reset or the last step returned. Step from that one.",
         )
@@ -162,23 +165,18 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
 
     # -- bounds -------------------------------------------------------------------------------------------------------
 
-    def _within_bounds(self, effort: Tensor) -> tuple[Tensor, Tensor | None]:
-        """The effort scaled into the bounds of the action, and the factor ``(*B, 1)`` that did it."""
-        bounds = self._bounds()
-        if bounds is None:
-            return effort, None
-        low, high = (bound.to(effort.dtype) for bound in bounds)
-        return scale_into(effort, low, high), factor_into(effort, low, high)
-
-    def _bounds(self) -> tuple[Tensor, Tensor] | None:
+    def _bounds(self) -> EffortBounds | None:
         """Bounds of the action towards the environment, if it has any."""
         parent = self.parent
         if parent is None:
             return None
         if _BOUNDS not in parent.__dict__:
             spec = self._like()
-            parent.__dict__[_BOUNDS] = (spec.space.low, spec.space.high) if isinstance(spec, Bounded) else None
+            bounds = EffortBounds.of(spec.space.low, spec.space.high) if isinstance(spec, Bounded) else None
+            parent.__dict__[_BOUNDS] = bounds
         return parent.__dict__[_BOUNDS]
+
+    # -- state --------------------------------------------------------------------------------------------------------
 
     def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._unstash(tensordict, next_tensordict, self.energy_key)
@@ -213,7 +211,7 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
                 "out_keys of their own, and let the policy read those."
             )
         bounds = self._bounds()
-        if bounds is not None and (bool((bounds[0] > 0).any()) or bool((bounds[1] < 0).any())):
+        if bounds is not None and (bool((bounds.low > 0).any()) or bool((bounds.high < 0).any())):
             raise ValueError(
                 f"the action {self.action_key!r} has bounds that exclude zero; expected low <= 0 <= high, since a "
                 "closed valve sends zero. Shift the action before the tank."

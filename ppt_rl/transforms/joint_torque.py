@@ -12,7 +12,7 @@ from torchrl.data import Composite, TensorSpec
 
 from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
-from ppt_rl.functional.limits import scale_change, scale_into
+from ppt_rl.functional.limits import EffortBounds, scale_change, scale_into
 from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.specs import real, replace_leaf
@@ -79,6 +79,7 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         rate = None if max_torque_rate is None else require_positive("max_torque_rate", max_torque_rate, "N m/s")
         self.max_torque_rate, self._needs_dt = rate, rate is not None
         self.dt = dt
+        self._bounds: EffortBounds | None = None
         self.register_buffer("posture", torch.tensor(posture), persistent=False)
         self.register_buffer("joint_inertia", torch.tensor(arm.joints.inertia), persistent=False)
         self.register_buffer("torque_limit", torch.tensor(arm.joints.torque_limits), persistent=False)
@@ -102,9 +103,16 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
             self._stash(tensordict, "power", power(wrench, *self._recall(tensordict, "twist")))
         return tensordict
 
+    def _limits(self, like: Tensor) -> EffortBounds:
+        """The torque limits in the precision and on the device of a torque."""
+        bounds = self._bounds
+        if bounds is None or bounds.low.dtype != like.dtype or bounds.low.device != like.device:
+            limit = self.torque_limit.to(like)
+            bounds = self._bounds = EffortBounds.of(-limit, limit)
+        return bounds
+
     def _limited(self, torque: Tensor, tensordict: TensorDictBase) -> Tensor:
-        limit = self.torque_limit.to(torque)
-        torque = scale_into(torque, -limit, limit)
+        torque, _ = scale_into(torque, self._limits(torque))
         if self.max_torque_rate is not None:
             last = self._known(tensordict, "torque")
             if last is not None:
