@@ -9,17 +9,18 @@ Each run is killed several times in a row before it may end. A process is forked
 
 from __future__ import annotations
 
-import mmap
 import os
 import random
 import signal
-import struct
 import sys
 import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from ctypes import Array, c_longlong
 from dataclasses import dataclass, field, replace
+from functools import partial
+from multiprocessing.sharedctypes import RawArray
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -32,6 +33,7 @@ from ppt_rl.training import PPOConfig, progress, run_script
 from ppt_rl.training.checkpoint import all_checkpoints
 from ppt_rl.training.logs import RunLogs, read_scalar
 
+Shared = Array[c_longlong]
 #: Control steps of a batch: environments times steps of a batch.
 BATCH = 2 * 10
 #: Number of checkpoints that a life may write before it is killed in the next one.
@@ -75,20 +77,9 @@ class Result:
     faults: list[str] = field(default_factory=list)
 
 
-class Shared:
-    """Two numbers that a process and its children share: where the run went on, and how far it has come."""
-
-    def __init__(self) -> None:
-        self._memory = mmap.mmap(-1, 16)
-        self.write(-1, 0)
-
-    def read(self) -> tuple[int, int]:
-        """Control steps at which the present life went on (-1: not yet), and those that are learnt."""
-        return struct.unpack("qq", self._memory[:])
-
-    def write(self, began: int, learnt: int) -> None:
-        """Set both."""
-        self._memory[:] = struct.pack("qq", began, learnt)
+def shared() -> Shared:
+    """Numbers that a process shares with its children, in control steps: where a life began, and what is learnt."""
+    return RawArray(c_longlong, [-1, 0])
 
 
 def train(run_dir: Path, budget: int, resume: bool) -> None:
@@ -98,17 +89,17 @@ def train(run_dir: Path, budget: int, resume: bool) -> None:
     RECIPE.train(replace(tiny, run_dir=run_dir, resume=resume))
 
 
-def watch(shared: Shared) -> None:
+def watch(steps: Shared) -> None:
     """Report where this life goes on, and each batch that it has learnt."""
     begin, learn = RunLogs.__init__, progress.Progress.learn
 
     def began(logs: RunLogs, run_dir: Path, last_step: int = 0) -> None:
         begin(logs, run_dir, last_step)
-        shared.write(last_step, last_step)
+        steps[:] = [last_step, last_step]
 
     def learnt(self: progress.Progress, batch: Any) -> dict[str, float]:
         scalars = learn(self, batch)
-        shared.write(shared.read()[0], self.control_steps)
+        steps[1] = self.control_steps
         return scalars
 
     RunLogs.__init__ = began  # type: ignore[method-assign,assignment]
@@ -141,85 +132,70 @@ def in_write(write: int, call: int, kill: Callable[[int], None]) -> None:
 
 
 def fork(work: Callable[[], None], log: Path) -> int:
-    """A child that does some work and ends with status 0, or 1 and a traceback in its log. Returns its number."""
+    """A child that does some work; it ends with status 0, or with 1 and a traceback in its log. Returns its number."""
     child = os.fork()
     if child:
         return child
-    status = 1
     try:
         with log.open("w") as file:
             os.dup2(file.fileno(), 1)
             os.dup2(file.fileno(), 2)
         work()
-        status = 0
+        os._exit(0)
     except BaseException:
         traceback.print_exc()
-    finally:
-        os._exit(status)
-
-
-def suicide(calls: int) -> None:
-    """Kill this process."""
-    os.kill(os.getpid(), signal.SIGKILL)
+    os._exit(1)
 
 
 def measure(folder: Path) -> tuple[float, int]:
     """Seconds of a life of a few batches, and function calls in a write of a checkpoint."""
-    calls, began = Shared(), time.perf_counter()
+    calls, began = shared(), time.perf_counter()
 
     def work() -> None:
-        in_write(_WRITES - 1, -1, lambda count: calls.write(0, count))
+        in_write(_WRITES - 1, -1, lambda count: calls.__setitem__(1, count))
         train(folder / "run", _WRITES * BATCH, resume=False)
 
     if os.waitpid(fork(work, folder / "log"), 0)[1]:
         raise RuntimeError(f"a training that is not killed fails:\n{(folder / 'log').read_text()}")
-    return time.perf_counter() - began, calls.read()[1]
+    return time.perf_counter() - began, calls[1]
 
 
-def live(run_dir: Path, shared: Shared, work: Callable[[], None], delay: float | None, result: Result) -> bool:
-    """One life of a run; counts what it lost when it went on. Returns whether it was killed."""
-    before = shared.read()[1]
-    shared.write(-1, before)
+def live(run_dir: Path, steps: Shared, work: Callable[[], None], delay: float | None, result: Result) -> bool:
+    """One life of a run; counts what was lost when it went on. Returns whether it was killed."""
+    before, steps[0] = steps[1], -1  # -1: it has not begun
     log = run_dir.with_suffix(".log")
     child = fork(work, log)
     if delay is not None:
         time.sleep(delay)
         os.kill(child, signal.SIGKILL)
-    status = os.waitpid(child, 0)[1]
-    began = shared.read()[0]
-    if began >= 0:
-        result.lost.append((before - began) // BATCH)
-    killed = os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL
-    if status and not killed:
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if steps[0] >= 0:
+        result.lost.append((before - steps[0]) // BATCH)
+    if status not in (0, -signal.SIGKILL):
         result.faults.append(f"{run_dir.name} does not go on:\n{log.read_text()}")
-    return killed
+    return status == -signal.SIGKILL
 
 
 def endure(run_dir: Path, lives: int, seconds: float, calls: int, result: Result) -> None:
     """Kill a run several times, then let it end, and look at what it left."""
-    shared = Shared()
+    steps = shared()
+
+    def work(budget: int, resume: bool, write: int | None = None, call: int = 0) -> None:
+        watch(steps)
+        if write is not None:
+            in_write(write, call, lambda count: os.kill(os.getpid(), signal.SIGKILL))
+        train(run_dir, budget, resume)
+
     for life in range(lives):
         write = None if life % 2 else random.randrange(_WRITES) if life else 0
-        call = random.randint(1, calls)
         resume = bool(all_checkpoints(run_dir)) or random.random() < 0.5  # both begin where there is no checkpoint
-
-        def work(write: int | None = write, call: int = call, resume: bool = resume) -> None:
-            watch(shared)
-            if write is not None:
-                in_write(write, call, suicide)
-            train(run_dir, 10**9, resume)
-
+        doomed = partial(work, 10**9, resume, write, random.randint(1, calls))
         delay = random.uniform(0.0, seconds) if write is None else None
-        killed = live(run_dir, shared, work, delay, result)
+        killed = live(run_dir, steps, doomed, delay, result)
         result.in_writes += killed and write is not None
         result.first_writes += killed and life == 0
-    budget = shared.read()[1] + 2 * BATCH
-
-    def end() -> None:
-        watch(shared)
-        train(run_dir, budget, resume=True)
-
-    live(run_dir, shared, end, None, result)
+    budget = steps[1] + 2 * BATCH
+    live(run_dir, steps, partial(work, budget, True), None, result)
     result.faults += [f"{run_dir.name}: {fault}" for fault in found_faults(run_dir, budget)]
 
 

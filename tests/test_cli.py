@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from ppt_rl.commands import Evaluate, Film, Judged, Policies, _pairs
+from ppt_rl.commands import CalibrateTank, Evaluate, Film, Judged, Policies, Sweep, _pairs
 from ppt_rl.envs.mujoco_imports import rendering_backend
 from ppt_rl.evaluation import COLUMNS, shipped_recipes
 from ppt_rl.recipes.ppo_ppt_push import Config
 from ppt_rl.training import with_settings
+from ppt_rl.training.logs import read_scalar
 
 QUICK = ("physics_dt=0.002", "duration=3.0")
 
@@ -76,6 +77,51 @@ def test_a_mistake_ends_with_one_line_of_advice(tmp_path, args, message):
     assert run.returncode == 2
     assert message in run.stderr
     assert "Traceback" not in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (lambda place: Evaluate("s_push", report=place / "file" / "report"), "Not a directory"),
+        (lambda place: Evaluate("s_push", report=place / "file"), "File exists"),
+        (lambda place: CalibrateTank("s_push", report=place / "file"), "File exists"),
+        (lambda place: Sweep(("s_push",), report=place / "file"), "File exists"),
+        (lambda place: Film("s_push", output=place / "file" / "a.mp4"), "File exists"),
+        (lambda place: Evaluate("s_push", report=Path("/proc/report")), "No such file"),
+    ],
+)
+def test_a_place_that_cannot_be_written_to_is_refused_before_the_work(tmp_path, monkeypatch, options, reason):
+    def never(*args, **kwargs):
+        raise AssertionError("work was done")
+
+    for name in ("evaluate", "calibrate", "run_sweep", "drawing.film"):
+        monkeypatch.setattr(f"ppt_rl.evaluation.{name}", never)
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=reason):
+        options(tmp_path).run()
+
+
+def test_a_film_needs_a_file_and_not_a_directory(tmp_path):
+    with pytest.raises(ValueError, match=r"--output is the directory .*; expected the path of a video \(\.mp4\) in it"):
+        Film("s_push", output=tmp_path).run()
+
+
+def test_an_error_of_the_system_ends_with_one_line_of_advice(tmp_path):
+    (tmp_path / "file").touch()
+    run = command("evaluate", "s_push", "--report", "file", cwd=tmp_path)
+    assert run.returncode == 2
+    assert run.stderr.splitlines()[-1].startswith("ppt-rl: error: file cannot be read or written: file exists; check")
+    assert "Traceback" not in run.stderr
+
+
+def test_a_run_is_resumed_by_the_command_without_its_options(tmp_path):
+    options = ("--num-envs", "2", "--num-threads", "1", "--duration", "0.1", "--physics-dt", "0.005", "--batch-steps")
+    budget = ("--ppo.total-control-steps", "20")
+    place = ("train", "s_push", "--run-dir", "mine")
+    assert command(*place, *options, "10", *budget, cwd=tmp_path).returncode == 0
+    again = command(*place, "--resume", "--ppo.total-control-steps", "40", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert read_scalar(tmp_path / "mine", "reward")[0].tolist() == [20, 40]
 
 
 def test_published_policies_are_listed_with_their_figures(capsys):

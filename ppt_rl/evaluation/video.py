@@ -9,6 +9,7 @@ from typing import Any
 import imageio.v2 as imageio
 import numpy as np
 import torch
+from imageio_ffmpeg import count_frames_and_secs
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
@@ -93,12 +94,29 @@ def write_video(path: Path, frames: Iterable[Image], fps: float) -> None:
 
     Raises:
         ValueError: if ``fps`` is not positive.
+        OSError: if it cannot be written to its end.
     """
     require_positive("fps", fps, "frames per second")
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".draft-{path.name}")
     writer: Any
-    with imageio.get_writer(draft, fps=fps, codec="libx264", quality=7, macro_block_size=2) as writer:
-        for frame in frames:
-            writer.append_data(frame)
-    draft.replace(path)
+    count = 0
+    try:
+        with imageio.get_writer(draft, fps=fps, codec="libx264", quality=7, macro_block_size=2) as writer:
+            for frame in frames:
+                writer.append_data(frame)
+                count += 1
+        _require_frames(draft, count, path)
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _require_frames(draft: Path, count: int, path: Path) -> None:
+    """Raise unless a video holds all its frames: its writer does not tell that the disk was full."""
+    try:
+        found = count_frames_and_secs(draft)[0]
+    except RuntimeError:
+        found = 0
+    if found != count:
+        raise OSError(f"{path} holds {found} of {count} frames; check that its disk has room, or choose another place.")

@@ -57,11 +57,9 @@ class Bounds(NamedTuple):
         Returns:
             Whether it fits.
         """
-        return (
-            isinstance(value, Integral if self.whole else Real)
-            and not isinstance(value, bool)
-            and self.low <= float(value) <= self.high
-        )
+        number: Any = value
+        is_number = isinstance(value, Integral if self.whole else Real) and not isinstance(value, bool)
+        return is_number and bool(self.low <= number <= self.high)
 
 
 def require_at_most(name: str, value: float, high: float, advice: str) -> None:
@@ -95,7 +93,7 @@ def require_bounds(options: Any, bounds: Mapping[str, Bounds]) -> None:
         for entry in value if isinstance(value, (tuple, list)) else (value,):
             if limits is not None and not limits.hold(entry):
                 raise ValueError(f"{name} is {entry!r}; expected {limits}.")
-            if isinstance(entry, Real) and not math.isfinite(entry):
+            if isinstance(entry, Real) and not isinstance(entry, Integral) and not math.isfinite(entry):
                 raise ValueError(f"{name} is {entry}; expected a finite number.")
 
 

@@ -10,6 +10,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -74,7 +75,14 @@ class RunLogs:
         self._tensorboard.experiment.flush()
 
     def close(self) -> None:
-        """Write out what is still buffered, and close."""
+        """Write out what is still buffered, and close.
+
+        Raises:
+            OSError: if TensorBoard's file cannot be written; what a CSV file could not take was told by :meth:`write`.
+        """
+        for file in self._csv.experiment.files.values():
+            with suppress(OSError):
+                file.close()
         self._tensorboard.experiment.close()
 
 

@@ -1,15 +1,24 @@
 from __future__ import annotations
 
-import hashlib
 import json
+import shutil
 import struct
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch import nn
 
-from ppt_rl.evaluation import is_pretrained, load_pretrained, pretrained_card, save_pretrained
+from ppt_rl.evaluation import (
+    is_pretrained,
+    load_policy,
+    load_pretrained,
+    pretrained_card,
+    published_policies,
+    save_pretrained,
+)
+from ppt_rl.evaluation.published import card_digest
 from ppt_rl.modules import ProMP, make_actor
 from ppt_rl.training import CheckpointMismatch
 
@@ -35,8 +44,13 @@ def published(tmp_path: Path) -> Path:
     return tmp_path / "policy"
 
 
+def pretrained_record(directory: Path) -> dict[str, Any]:
+    """What a card says, unchecked."""
+    return json.loads((directory / "card.json").read_text())
+
+
 def edit_card(directory: Path, **changes: object) -> None:
-    card = json.loads((directory / "card.json").read_text()) | changes
+    card = pretrained_record(directory) | changes
     (directory / "card.json").write_text(json.dumps({key: value for key, value in card.items() if value is not None}))
 
 
@@ -160,6 +174,77 @@ def test_weights_without_a_module_that_is_asked_for_do_not_fit(tmp_path):
 
 def test_a_file_that_is_no_safetensors_file_does_not_fit_even_if_the_card_knows_it(published):
     (published / WEIGHTS).write_bytes(b"something else")
-    edit_card(published, sha256=hashlib.sha256(b"something else").hexdigest())
+    edit_card(published, sha256=card_digest(pretrained_record(published), b"something else"))
     with pytest.raises(CheckpointMismatch, match="does not fit the variant 'ppt_push'"):
         load_pretrained(published, modules(3))
+
+
+# -- what the digest covers --------------------------------------------------------------------------------------------
+
+
+def places(record: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Paths of every value in a record."""
+    if isinstance(record, dict) and record:
+        return [place for key, value in record.items() for place in places(value, (*path, key))]
+    if isinstance(record, list) and record:
+        return [place for key, value in enumerate(record) for place in places(value, (*path, key))]
+    return [path]
+
+
+def changed(value: Any) -> Any:
+    """Another value of the same kind."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, (int, float)):
+        return value + (1 if isinstance(value, int) else 0.125)
+    return "other" if isinstance(value, str) else [value]
+
+
+@pytest.mark.parametrize("name", published_policies())
+def test_no_field_of_the_card_of_a_shipped_policy_can_be_changed(tmp_path, name):
+    copy = Path(shutil.copytree(published_policies()[name], tmp_path / name))
+    card = pretrained_card(copy)
+    every = places(card)
+    assert len(every) > 60
+    for path in every:
+        record = json.loads(json.dumps(card))
+        part = record
+        for key in path[:-1]:
+            part = part[key]
+        part[path[-1]] = changed(part[path[-1]])
+        (copy / "card.json").write_text(json.dumps(record))
+        with pytest.raises(CheckpointMismatch):
+            pretrained_card(copy)
+
+
+@pytest.mark.parametrize("change", [{"added": 1}, {"note": None}])
+def test_a_field_can_neither_be_added_to_a_card_nor_removed(published, change):
+    edit_card(published, **change)
+    with pytest.raises(CheckpointMismatch, match="was changed: its SHA-256"):
+        pretrained_card(published)
+
+
+def test_a_card_with_a_looser_limit_makes_no_policy(tmp_path):
+    copy = Path(shutil.copytree(published_policies()["ppt_push"], tmp_path / "copy"))
+    edit_card(copy, config=pretrained_record(copy)["config"] | {"p_max": 1e5})
+    with pytest.raises(CheckpointMismatch, match=r"card\.json or policy\.safetensors beside it was changed"):
+        load_policy(copy)
+
+
+def test_the_order_and_the_layout_of_a_card_do_not_count(published):
+    record = pretrained_record(published)
+    (published / "card.json").write_text(json.dumps(dict(reversed(record.items())), indent=7))
+    assert pretrained_card(published) == record
+
+
+def test_a_card_whose_options_would_exhaust_the_machine_is_refused_before_anything_is_made(tmp_path):
+    source = published_policies()["ppt_push"]
+    card = pretrained_card(source)
+    for name, value in (("num_basis", 10**9), ("duration", 1e9), ("physics_dt", 1e-9), ("num_envs", 10**9)):
+        copy = Path(shutil.copytree(source, tmp_path / name))
+        config = card["config"] | {name: value}
+        edit_card(copy, config=config)
+        sealed = card_digest(card | {"config": config}, (copy / WEIGHTS).read_bytes())
+        edit_card(copy, sha256=sealed)
+        with pytest.raises(CheckpointMismatch, match=rf"{name} is .*; expected a (whole )?number from"):
+            load_policy(copy)

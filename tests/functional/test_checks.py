@@ -1,10 +1,19 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 import torch
 
-from ppt_rl.functional.checks import require_finite, require_last_dim, require_positive, require_ranges
+from ppt_rl.functional.checks import (
+    Bounds,
+    require_at_most,
+    require_bounds,
+    require_finite,
+    require_last_dim,
+    require_positive,
+    require_ranges,
+)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -62,3 +71,55 @@ def test_ranges_may_be_a_single_number_but_not_empty():
     for bad in ((0.2, 0.1), (math.nan, 0.2), (0.1, math.nan)):
         with pytest.raises(ValueError, match=r"Ranges\.length is \(.*\); expected low <= high\."):
             require_ranges(Ranges(length=bad))
+
+
+# -- bounds ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [0.0, 1, 1.0, np.float32(0.5), np.int64(1)])
+def test_numbers_within_their_bounds_pass(value):
+    assert Bounds(0.0, 1.0).hold(value)
+
+
+@pytest.mark.parametrize("value", [-1e-9, 1.1, math.nan, math.inf, -math.inf, True, None, "0.5", (0.5,)])
+def test_what_is_out_of_bounds_or_no_number_does_not_hold(value):
+    assert not Bounds(0.0, 1.0).hold(value)
+
+
+def test_a_number_that_no_float_can_hold_is_out_of_bounds():
+    assert not Bounds(0.0, 1.0).hold(10**400)
+
+
+@pytest.mark.parametrize(("value", "fits"), [(1, True), (np.int64(5), True), (2.0, False), (0, False), (6, False)])
+def test_whole_bounds_ask_for_a_whole_number(value, fits):
+    assert Bounds(1, 5).hold(value) == fits
+
+
+def test_the_message_says_what_came_and_what_was_expected_with_its_unit():
+    @dataclass
+    class Options:
+        length: float = 3.0
+        count: int = 1
+
+    bounds = {"length": Bounds(0.0, 2.0, "m"), "count": Bounds(1, 10**12), "other": Bounds(0, 1)}
+    with pytest.raises(ValueError, match=r"^length is 3\.0; expected a number from 0 to 2 m\.$"):
+        require_bounds(Options(), bounds)
+    with pytest.raises(ValueError, match=r"^count is 0; expected a whole number from 1 to 1000000000000\.$"):
+        require_bounds(Options(1.0, 0), bounds)
+    require_bounds(Options(1.0), bounds)
+
+
+def test_a_number_without_bounds_must_be_finite():
+    @dataclass
+    class Options:
+        free: tuple[float, ...] = (1.0, math.nan)
+
+    with pytest.raises(ValueError, match=r"^free is nan; expected a finite number\.$"):
+        require_bounds(Options(), {})
+
+
+@pytest.mark.parametrize("value", [5.5, math.nan, math.inf])
+def test_a_size_that_is_too_large_is_refused_with_advice(value):
+    with pytest.raises(ValueError, match=r"^steps is .*; expected at most 5: lower them\.$"):
+        require_at_most("steps", value, 5, "lower them")
+    require_at_most("steps", 5, 5, "lower them")

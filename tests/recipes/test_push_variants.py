@@ -30,6 +30,7 @@ from ppt_rl.evaluation import (
 )
 from ppt_rl.evaluation.drawing import draw_policy
 from ppt_rl.evaluation.policy import restored_config
+from ppt_rl.evaluation.published import card_digest
 from ppt_rl.training import CheckpointMismatch, PPOConfig, as_json, checkpoint_info, find_checkpoint
 from ppt_rl.training.logs import read_scalar
 from ppt_rl.transforms import EnergyTankTransform
@@ -365,7 +366,8 @@ def test_a_published_policy_that_was_tampered_with_ends_the_program_with_advice(
 
 def test_a_card_of_a_variant_that_does_not_exist_is_refused(published, tmp_path):
     copy = Path(shutil.copytree(published, tmp_path / "copy"))
-    card = json.loads((copy / "card.json").read_text())
-    (copy / "card.json").write_text(json.dumps(card | {"variant": "os.system"}))
+    card = json.loads((copy / "card.json").read_text()) | {"variant": "os.system"}
+    card["sha256"] = card_digest(card, (copy / "policy.safetensors").read_bytes())
+    (copy / "card.json").write_text(json.dumps(card))
     with pytest.raises(CheckpointMismatch, match=r"'os\.system' is unknown; expected one of"):
         load_policy(copy)

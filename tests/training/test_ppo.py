@@ -7,6 +7,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from ppt_rl.modules import make_actor, make_critic
 from ppt_rl.training.batches import batch_statistics, control_steps
+from ppt_rl.training.finite import TrainingDiverged
 from ppt_rl.training.ppo import Learner, PPOConfig
 
 
@@ -113,6 +114,25 @@ def test_the_threads_are_given_back_where_an_update_fails(monkeypatch):
         ppo.update(batch(ppo.actor, 4097))
     assert threads == [3]
     assert torch.get_num_threads() == 1
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_an_update_ends_before_a_step_that_is_not_finite(bad, monkeypatch):
+    ppo = learner(minibatches=1)
+    steps, data = count_steps(ppo, monkeypatch), batch(ppo.actor)
+    data["next", "reward"][3] = bad
+    before = [value.clone() for value in ppo.loss.parameters()]
+    with pytest.raises(TrainingDiverged, match=r"^(objective|critic|gradient) is (nan|inf)$"):
+        ppo.update(data)
+    assert not steps
+    assert all(torch.equal(a, b) for a, b in zip(before, ppo.loss.parameters(), strict=True))
+
+
+def test_a_step_that_makes_a_network_infinite_is_named(monkeypatch):
+    ppo = learner()
+    monkeypatch.setattr(ppo.optimizer, "step", lambda: next(ppo.critic.parameters()).data.fill_(torch.inf))
+    with pytest.raises(TrainingDiverged, match=r"is (not finite|nan|inf)$"):
+        ppo.update(batch(ppo.actor))
 
 
 # -- what is logged of a batch -----------------------------------------------------------------------------------------
