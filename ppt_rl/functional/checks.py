@@ -14,7 +14,9 @@ __all__ = ["require_finite", "require_last_dim", "require_positive", "require_ra
 def require_finite(name: str, value: Tensor) -> None:
     """Raise if ``value`` contains NaN or infinity.
 
-    On a GPU the check does not synchronise with the host: it fails later, as a device-side assertion.
+    On a GPU the check does not synchronise with the host: it fails later, as a device-side assertion. It is left out
+    where no numbers are at hand: under ``torch.compile``, ``torch.export`` and the transforms of ``torch.func``, such as
+    ``vmap`` and ``grad``.
 
     Args:
         name: what the tensor is, for the error message.
@@ -23,6 +25,8 @@ def require_finite(name: str, value: Tensor) -> None:
     Raises:
         ValueError: if an entry of a CPU tensor is not finite.
     """
+    if torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None:
+        return
     # If the sum is finite, so is every entry. The converse fails on overflow only: then each entry is checked.
     if value.device.type != "cpu":
         torch._assert_async(torch.isfinite(value).all(), f"{name} is not finite")
