@@ -15,8 +15,7 @@ def require_finite(name: str, value: Tensor) -> None:
     """Raise if ``value`` contains NaN or infinity.
 
     On a GPU the check does not synchronise with the host: it fails later, as a device-side assertion. It is left out
-    where no numbers are at hand: under ``torch.compile``, ``torch.export`` and the transforms of ``torch.func``, such as
-    ``vmap`` and ``grad``.
+    where no numbers are at hand: under ``torch.compile``, ``torch.export`` and ``torch.func`` (``vmap``, ``grad``).
 
     Args:
         name: what the tensor is, for the error message.
