@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 
 from ppt_rl.envs.audit import AuditedPhysics
 from ppt_rl.envs.lifetime import Lifetime
+from ppt_rl.envs.limits import require_count, require_within
 from ppt_rl.envs.models import remove_visual_geoms
 from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.envs.physics import EngineConfig, ThreadedPhysics, substeps_per_control_step
@@ -24,6 +25,8 @@ from ppt_rl.functional.checks import require_positive
 
 __all__ = ["BatchedEnv", "Rows"]
 
+#: Most environments of a batch: each has a model of its own, of about 100 kB.
+_MOST_ENVS = 16_384
 #: Indices of environments, ``(R,)``.
 Rows = NDArray[np.int64]
 
@@ -69,14 +72,15 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         device: torch.device | str,
         engine: EngineConfig,
     ) -> None:
-        if isinstance(num_envs, bool) or int(num_envs) != num_envs or num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs}; expected a whole number of at least 1.")
-        super().__init__(device=torch.device(device), batch_size=torch.Size([int(num_envs)]))
-        self.num_envs = int(num_envs)
+        num_envs = require_count("num_envs", num_envs, _MOST_ENVS)
+        super().__init__(device=torch.device(device), batch_size=torch.Size([num_envs]))
+        self.num_envs = num_envs
         self.dtype = dtype
         self.engine_config = engine
         self.control_dt = require_positive("control_dt", control_dt, "s")
+        require_within("control_dt", control_dt, (1e-4, 1.0, "s"))
         self.duration = require_positive("duration", duration, "s")
+        require_within("duration", duration, (0.0, 3600.0, "s"))
         self.substeps = substeps_per_control_step(control_dt, engine.physics_dt)
         self.horizon = max(1, round(duration / control_dt))
 

@@ -130,7 +130,8 @@ def are_finite(value: Tensor) -> bool:
 def require_finite(name: str, value: Tensor) -> None:
     """Raise if ``value`` contains NaN or infinity.
 
-    On a GPU the check does not synchronise with the host: it fails later, as a device-side assertion.
+    On a GPU the check does not synchronise with the host: it fails later, as a device-side assertion. It is left out
+    where no numbers are at hand: under ``torch.compile``, ``torch.export`` and ``torch.func`` (``vmap``, ``grad``).
 
     Args:
         name: what the tensor is, for the error message.
@@ -139,6 +140,8 @@ def require_finite(name: str, value: Tensor) -> None:
     Raises:
         ValueError: if an entry of a CPU tensor is not finite.
     """
+    if torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None:
+        return
     # If the sum is finite, so is every entry. The converse fails on overflow only: then each entry is checked.
     if value.device.type != "cpu":
         torch._assert_async(torch.isfinite(value).all(), f"{name} is not finite")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import typing
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType
 from typing import Any, ClassVar, TypeVar
@@ -98,20 +98,23 @@ def from_json(config_class: type[_Config], settings: Mapping[str, Any]) -> _Conf
 
     Args:
         config_class: the dataclass.
-        settings: what :func:`as_json` returned; every field must be there and no other.
+        settings: what :func:`as_json` returned, here or in an older version: a field that is missing takes its
+            default, if it has one.
 
     Returns:
         The configuration.
 
     Raises:
-        ValueError: if a field is missing or unknown, or a value is impossible.
+        ValueError: if a field without a default is missing, a field is unknown, or a value is impossible.
     """
     hints = typing.get_type_hints(config_class)
     known = _recorded(config_class)
-    if set(settings) != known:
+    members = fields(config_class)  # type: ignore[arg-type]
+    needed = known & {f.name for f in members if f.default is MISSING and f.default_factory is MISSING}
+    if not needed <= set(settings) <= known:
         raise ValueError(
-            f"the settings of {config_class.__name__} have no {sorted(known - set(settings))} and unknown "
-            f"{sorted(set(settings) - known)}; expected exactly the fields {sorted(known)}."
+            f"the settings of {config_class.__name__} have no {sorted(needed - set(settings))} and unknown "
+            f"{sorted(set(settings) - known)}; expected the fields {sorted(known)}."
         )
     try:
         return config_class(**{name: _restored(hints[name], value) for name, value in settings.items()})

@@ -66,7 +66,8 @@ def train_in_run_dir(
         if resume_from is None:
             begin_norms(env, [learners.actor, learners.critic])
         else:
-            _check_same_run(checkpoint_info(resume_from, identity["variant"])["config"], settings, resume_from)
+            old = checkpoint_info(resume_from, identity["variant"])["config"]
+            _check_same_run(_completed(old, as_json(type(config)())), settings, resume_from)
             set_aside_newer(run_dir, resume_from)
         save_config(run_dir, settings | dict(identity))
         run = TrainingRun(
@@ -78,6 +79,11 @@ def train_in_run_dir(
             resume_from=resume_from,
         )
         return train_ppo(env, learners.actor, learners.critic, run)
+
+
+def _completed(old: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of an older version, in which options that have come since have their defaults."""
+    return {**defaults, **old, "ppo": {**defaults["ppo"], **old["ppo"]}}
 
 
 def _check_same_run(old: Mapping[str, Any], new: Mapping[str, Any], path: Path) -> None:

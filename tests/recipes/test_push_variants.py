@@ -291,14 +291,13 @@ def test_only_a_policy_on_residuals_has_a_reference_to_run_alone(policies, varia
     ("change", "message"),
     [
         ({"colour": "red"}, r"another version of s_push: .*unknown \['colour'\]"),
-        ({"max_lead": None}, r"another version of s_push: .*have no \['max_lead'\]"),
         ({"ppo": as_json(PPOConfig()) | {"epochs": 0}}, "another version of s_push: epochs is 0"),
         ({"ppo": {"tempo": 1}}, r"another version of s_push: the settings of PPOConfig .*unknown \['tempo'\]"),
     ],
 )
 def test_a_checkpoint_with_options_that_the_recipe_does_not_have_is_refused(trained, tmp_path, change, message):
     run = trained["s_push"]
-    settings = {key: value for key, value in (as_json(run.config) | change).items() if value is not None}
+    settings = as_json(run.config) | change
     with pytest.raises(CheckpointMismatch, match=message):
         restored_config(find_recipe("s_push"), settings, run.path)
     path = tmp_path / "edited.torchrl"
@@ -311,6 +310,13 @@ def test_a_checkpoint_with_options_that_the_recipe_does_not_have_is_refused(trai
 def test_options_come_back_from_their_json_as_they_were(trained):
     for variant, run in trained.items():
         assert restored_config(find_recipe(variant), as_json(run.config) | {"variant": variant}, run.path) == run.config
+
+
+def test_a_checkpoint_from_before_an_option_was_there_has_its_default(trained):
+    run = trained["s_push"]
+    settings = as_json(run.config)
+    del settings["box_masses"], settings["max_lead"]
+    assert restored_config(find_recipe("s_push"), settings, run.path) == run.config
 
 
 def test_a_checkpoint_of_one_variant_does_not_fit_another(trained, tmp_path):

@@ -64,6 +64,8 @@ class Disc:
 
 
 Segment = Straight | Turn | Disc
+#: More segments do not fit into any arm's reach.
+_MOST_SEGMENTS = 100
 _KINDS: dict[str, type[Segment]] = {"straight": Straight, "turn": Turn, "disc": Disc}
 
 
@@ -99,11 +101,14 @@ class MazeLayout:
         _require_range("friction", self.friction, 0.0, 1.0, "")
         _require_range("height", self.height, 0.0, 0.2, "m")
         _require_range("heading", self.heading, -2 * math.pi, 2 * math.pi, "rad")
+        if len(self.segments) > _MOST_SEGMENTS:
+            raise ValueError(f"the maze has {len(self.segments)} segments; expected at most {_MOST_SEGMENTS}.")
         if len(self.start) != 2:
             raise ValueError(f"start is {self.start}; expected x and y [m].")
         for value in self.start:
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 raise ValueError(f"start is {self.start}; expected two finite numbers, x and y [m].")
+            _require_range("a coordinate of start", value, -10.0, 10.0, "m")
         unknown = [part for part in self.segments if not isinstance(part, tuple(_KINDS.values()))]
         if unknown or not self.segments:
             raise ValueError(f"segments contain {unknown or 'nothing'}; expected Straight, Turn and Disc.")

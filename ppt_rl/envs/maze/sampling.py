@@ -9,15 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from ppt_rl.arms import PANDA, Arm
+from ppt_rl.envs.limits import Bound, require_bounded_ranges
 from ppt_rl.envs.maze.feasibility import check_corridor
 from ppt_rl.envs.maze.geometry import build_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Segment, Straight, Turn
-from ppt_rl.functional.checks import require_ranges
 
 __all__ = ["MazeRanges", "StraightRanges", "random_maze", "random_straight"]
 
 #: Layouts that are drawn before the ranges count as impossible.
 _TRIES = 2000
+#: What corridors and their parts can be at all.
+_CORRIDOR: dict[str, Bound] = {"length": (0.02, 2.0, "m"), "width": (0.03, 0.2, "m"), "friction": (0.0, 1.0, "")}
+_STRAIGHT = _CORRIDOR | {"height": (0.0, 0.2, "m"), "x": (-2.0, 2.0, "m"), "y": (-2.0, 2.0, "m")}
+_MAZE = _CORRIDOR | {
+    "turn": (0.0, math.radians(75), "rad"), "turns": (0, 20, ""), "rise": (0.0, 0.1, "m"), "discs": (0, 10, ""),
+    "disc": (0.07, 0.3, "m"), "disc_angle": (0.0, math.radians(60), "rad"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -41,8 +48,8 @@ class StraightRanges:
     y: tuple[float, float] = (-0.25, 0.25)
 
     def __post_init__(self) -> None:
-        """Check that no range is empty."""
-        require_ranges(self)
+        """Check that no range is empty or beyond what a corridor can be."""
+        require_bounded_ranges(self, _STRAIGHT)
 
 
 @dataclass(frozen=True)
@@ -75,8 +82,11 @@ class MazeRanges:
     disc_angle: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check that no range is empty."""
-        require_ranges(self)
+        """Check that no range is empty or beyond what a maze can be."""
+        require_bounded_ranges(self, _MAZE)
+        for name, counts in (("turns", self.turns), ("discs", self.discs)):
+            if any(int(count) != count for count in counts):
+                raise ValueError(f"MazeRanges.{name} is {counts}; expected whole numbers.")
 
 
 def random_straight(rng: np.random.Generator, ranges: StraightRanges | None = None, arm: Arm = PANDA) -> MazeLayout:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ppt_rl.envs.limits import Bound, require_bounded_ranges
 from ppt_rl.envs.maze.geometry import Array, Corridor
 from ppt_rl.envs.maze.layout import MazeLayout, Straight
-from ppt_rl.functional.checks import require_ranges
 
 __all__ = ["MazeRandomisation", "check_start", "draw_start"]
 
@@ -16,6 +16,7 @@ __all__ = ["MazeRandomisation", "check_start", "draw_start"]
 _ROOM = 0.055
 #: Distance from the tool's end to the floor [m].
 _CLEARANCE = 5e-4
+_BOUNDS: dict[str, Bound] = {"along": (-2.0, 2.0, "m"), "across": (-2.0, 2.0, ""), "heading_error": (-7.0, 7.0, "rad")}
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class MazeRandomisation:
 
     def __post_init__(self) -> None:
         """Check that no range is empty and that the tool starts inside the corridor."""
-        require_ranges(self)
+        require_bounded_ranges(self, _BOUNDS)
         if self.along[0] < 0.02 or max(map(abs, self.across)) > 0.95:
             raise ValueError(f"{self} puts the tool into a wall; expected along >= 0.02 m and across within +-0.95.")
 

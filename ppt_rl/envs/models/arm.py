@@ -31,6 +31,13 @@ class Tool:
     bar: tuple[float, float, float] | None = None
 
     @property
+    def half_extent(self) -> tuple[float, float, float]:
+        """Half size of the tool's end along its axes: of the bar, or of the stem [m]."""
+        if self.bar is None:
+            return self.stem_radius, self.stem_radius, 0.0
+        return 0.5 * self.bar[0], 0.5 * self.bar[1], 0.5 * self.bar[2]
+
+    @property
     def half_thickness(self) -> float:
         """Distance from the tool's axis to its face along x [m]."""
         return self.stem_radius if self.bar is None else 0.5 * self.bar[0]

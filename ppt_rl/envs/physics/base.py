@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -9,6 +10,8 @@ from numpy.typing import NDArray
 
 __all__ = ["PhysicsEngine", "PhysicsStep", "substeps_per_control_step"]
 
+#: Most physics steps in a control step, of all of which the readings are kept.
+_MOST_SUBSTEPS = 2000
 Array = NDArray[np.float64]
 
 
@@ -70,14 +73,20 @@ def substeps_per_control_step(control_dt: float, physics_dt: float) -> int:
         ``control_dt / physics_dt``, a whole number of at least 1.
 
     Raises:
-        ValueError: if a time step is not positive or ``control_dt`` is no multiple of ``physics_dt``.
+        ValueError: if a time step is not positive, or ``control_dt`` is no multiple of ``physics_dt`` or too large a
+            one.
     """
-    if physics_dt <= 0 or control_dt <= 0:
-        raise ValueError(f"physics_dt={physics_dt} s and control_dt={control_dt} s; expected both above 0.")
+    if not (0 < physics_dt < math.inf and 0 < control_dt < math.inf):
+        raise ValueError(f"physics_dt={physics_dt} s and control_dt={control_dt} s; expected both above 0 and finite.")
     ratio = control_dt / physics_dt
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
         raise ValueError(
             f"control_dt={control_dt} s is {ratio:.6g} times physics_dt={physics_dt} s; expected a whole number. "
             f"Set, for instance, physics_dt={control_dt / max(1, round(ratio)):.12g}."
+        )
+    if ratio > _MOST_SUBSTEPS:
+        raise ValueError(
+            f"control_dt={control_dt} s is {ratio:.6g} times physics_dt={physics_dt} s; expected at most "
+            f"{_MOST_SUBSTEPS} times. Raise physics_dt, or act more often."
         )
     return round(ratio)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ppt_rl.envs.limits import require_count, require_within
 from ppt_rl.functional.checks import require_positive
 
 __all__ = ["EngineConfig"]
@@ -14,8 +15,9 @@ class EngineConfig:
     """How an environment steps its physics.
 
     Attributes:
-        physics_dt: time step of the physics [s]; it must divide the environment's ``control_dt``.
-        num_threads: threads of the physics; None takes one for each CPU. The number never changes a result.
+        physics_dt: time step of the physics [s], 0.01 to 20 ms; it must divide the environment's ``control_dt``.
+        num_threads: threads of the physics, at most 1024; None takes one for each CPU. The number never changes a
+            result.
         audit: whether power and work are measured at the rate of the physics (:mod:`ppt_rl.envs.audit`).
 
     Raises:
@@ -29,5 +31,10 @@ class EngineConfig:
     def __post_init__(self) -> None:
         """Refuse an impossible time step or number of threads."""
         require_positive("physics_dt", self.physics_dt, "s")
-        if self.num_threads is not None and self.num_threads < 1:
-            raise ValueError(f"num_threads is {self.num_threads}; expected at least 1, or None for one for each CPU.")
+        require_within("physics_dt", self.physics_dt, (1e-5, 0.02, "s"))
+        if self.num_threads is not None:
+            if self.num_threads < 1:
+                raise ValueError(
+                    f"num_threads is {self.num_threads}; expected at least 1, or None for one for each CPU."
+                )
+            require_count("num_threads", self.num_threads, 1024)

@@ -11,8 +11,10 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from ppt_rl.envs.arm import ArmEnv, Rows
+from ppt_rl.envs.limits import require_within
 from ppt_rl.envs.push import rewards as reward
-from ppt_rl.envs.push.episode import BOXES, PushDistances, PushEpisodes, PushRandomisation, draw_episodes
+from ppt_rl.envs.push.box import Boxes
+from ppt_rl.envs.push.episode import PushDistances, PushEpisodes, PushRandomisation, check_start, draw_episodes
 from ppt_rl.envs.push.rewards import PushRewards
 from ppt_rl.envs.push.scene import PUSH_BOX, push_scene
 from ppt_rl.envs.readings import sensor_span
@@ -48,14 +50,16 @@ class PushEnv(ArmEnv):
 
     Args:
         num_envs: number of environments.
-        box_sizes: edge lengths to draw from [m]: 0.06, 0.08, or both.
+        box_sizes: edge lengths of the boxes to draw from [m], 0.03 to 0.2.
+        box_masses: mass of each of them [kg], 0.01 to 3; None takes the paper's, which has 0.06 m (50 g) and 0.08 m
+            (80 g).
         randomisation: ranges of what is drawn for each episode.
         rewards: weights of the reward terms.
         success_radius: largest distance from box to goal that counts as success [m].
         **kwargs: as for :class:`ArmEnv`.
 
     Raises:
-        ValueError: if a box size is unknown or a number is out of range.
+        ValueError: if a box has no known mass, a number is out of range, or a box may start inside the tool.
 
     Source:
         Paper, section "Box Pushing".
@@ -71,20 +75,20 @@ class PushEnv(ArmEnv):
         num_envs: int = 1,
         *,
         box_sizes: Sequence[float] = (0.06, 0.08),
+        box_masses: Sequence[float] | None = None,
         randomisation: PushRandomisation | None = None,
         rewards: PushRewards | None = None,
         success_radius: float = 0.02,
         **kwargs: Any,
     ) -> None:
-        unknown = [size for size in box_sizes if size not in BOXES]
-        if unknown or not box_sizes:
-            raise ValueError(f"box_sizes are {tuple(box_sizes)}; expected one or more of {tuple(BOXES)} m.")
         if not success_radius > 0:
             raise ValueError(f"success_radius is {success_radius}; expected a distance above 0 m.")
-        self.box_sizes = tuple(box_sizes)
+        require_within("success_radius", success_radius, (0.0, 1.0, "m"))
+        self.boxes = Boxes.of(box_sizes, box_masses)
         self.randomisation = PushRandomisation() if randomisation is None else randomisation
         self.rewards = PushRewards() if rewards is None else rewards
         self.success_radius = float(success_radius)
+        check_start(self.boxes, self.randomisation, self.tool.half_extent, self.start_pose[2])
         super().__init__(num_envs, **kwargs)
 
     horizon_terminates = True
@@ -99,7 +103,7 @@ class PushEnv(ArmEnv):
         self._episode = PushEpisodes(self.num_envs, self.dtype)
 
     def _begin(self, rows: Rows) -> np.ndarray:
-        drawn = draw_episodes(self._generators, rows, self.randomisation, self.box_sizes)
+        drawn = draw_episodes(self._generators, rows, self.randomisation, self.boxes)
         self._episode.write(rows, drawn)
         for row in rows:
             self._write_parameters(self.engine.models[row], int(row))

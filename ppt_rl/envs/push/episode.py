@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,13 +12,17 @@ from torch import Tensor
 
 from ppt_rl.envs.arm import Rows
 from ppt_rl.envs.episodes import Episodes
+from ppt_rl.envs.limits import Bound, require_bounded_ranges
+from ppt_rl.envs.push.box import Boxes
 from ppt_rl.envs.row_generators import RowGenerators
-from ppt_rl.functional.checks import require_ranges
 
-__all__ = ["BOXES", "PushDistances", "PushEpisodes", "PushRandomisation", "draw_episodes"]
+__all__ = ["PushDistances", "PushEpisodes", "PushRandomisation", "check_start", "draw_episodes"]
 
-#: Nominal mass [kg] of a box by its edge length [m] (paper, section "Box Pushing").
-BOXES = {0.06: 0.050, 0.08: 0.080}
+_PLACE: Bound = (-2.0, 2.0, "m")
+_BOUNDS: dict[str, Bound] = {
+    "friction": (0.0, 5.0, ""), "mass": (0.1, 10.0, ""), "box_yaw": (-3.15, 3.15, "rad"),
+    "box_x": _PLACE, "box_y": _PLACE, "goal_x": _PLACE, "goal_y": _PLACE, "tool_x": _PLACE, "tool_y": _PLACE,
+}  # fmt: skip
 
 #: Phases of the via-points [-], and their standard deviations in x, y [m] and yaw [rad].
 _VIA_PHASE = (0.0, 0.35, 1.0)
@@ -52,8 +56,8 @@ class PushRandomisation:
     tool_y: tuple[float, float] = (-0.02, 0.02)
 
     def __post_init__(self) -> None:
-        """Check that no range is empty."""
-        require_ranges(self)
+        """Check that no range is empty or absurd."""
+        require_bounded_ranges(self, _BOUNDS)
 
 
 class PushDistances(NamedTuple):
@@ -120,8 +124,33 @@ class PushEpisodes(Episodes):
         self.touched = self.touched | (distances.box_to_goal < self.initial.box_to_goal - 1e-3)
 
 
+def check_start(boxes: Boxes, ranges: PushRandomisation, tool: tuple[float, float, float], height: float) -> None:
+    """Raise if a box may begin inside the tool, since MuJoCo would shoot it away.
+
+    Args:
+        boxes: the boxes to draw from.
+        ranges: ranges to draw from.
+        tool: half size of the tool's end along x, y and z [m].
+        height: of the tool's centre at the start [m].
+
+    Raises:
+        ValueError: if it may.
+    """
+    turn = min(max(map(abs, ranges.box_yaw)), math.pi / 4)
+    for size in boxes.sizes:
+        reach = 0.5 * size * (math.cos(turn) + math.sin(turn))  # of a turned box along x and y [m]
+        gaps = [height - tool[2] - size]
+        for box, bar, half in ((ranges.box_x, ranges.tool_x, tool[0]), (ranges.box_y, ranges.tool_y, tool[1])):
+            gaps += [box[0] - bar[1] - reach - half, bar[0] - box[1] - reach - half]
+        if max(gaps) < 0:
+            raise ValueError(
+                f"a box of {size} m may begin inside the tool: randomisation.box_x begins at {ranges.box_x[0]} m; "
+                f"expected at least {ranges.box_x[0] - gaps[1]:.3f} m. Raise it, or take a smaller box."
+            )
+
+
 def draw_episodes(
-    generators: RowGenerators, rows: Rows, ranges: PushRandomisation, box_sizes: Sequence[float]
+    generators: RowGenerators, rows: Rows, ranges: PushRandomisation, boxes: Boxes
 ) -> dict[str, np.ndarray]:
     """Draw episodes at random.
 
@@ -129,7 +158,7 @@ def draw_episodes(
         generators: source of randomness of each environment.
         rows: indices of the environments.
         ranges: ranges to draw from.
-        box_sizes: edge lengths of the boxes to draw from [m].
+        boxes: the boxes to draw from.
 
     Returns:
         Arrays with one entry per episode: ``size`` [m], ``mass`` [kg], ``box``, ``goal`` and ``tool`` (x, y) [m],
@@ -139,10 +168,10 @@ def draw_episodes(
     low, high = np.asarray([getattr(ranges, name) for name in names]).T
     uniform = generators.uniform(rows, len(names) + 1)
     drawn = dict(zip(names, (low + (high - low) * uniform[:, 1:]).T, strict=True))
-    size = np.asarray(box_sizes)[(uniform[:, 0] * len(box_sizes)).astype(int)]
+    which = (uniform[:, 0] * len(boxes.sizes)).astype(int)
     return {
-        "size": size,
-        "mass": np.asarray([BOXES[float(edge)] for edge in size]) * drawn["mass"],
+        "size": np.asarray(boxes.sizes)[which],
+        "mass": np.asarray(boxes.masses)[which] * drawn["mass"],
         "box": np.stack([drawn["box_x"], drawn["box_y"]], -1),
         "goal": np.stack([drawn["goal_x"], drawn["goal_y"]], -1),
         "tool": np.stack([drawn["tool_x"], drawn["tool_y"]], -1),

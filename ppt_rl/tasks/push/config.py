@@ -35,11 +35,13 @@ class PushConfig(TaskConfig):
     """Options of every pushing recipe.
 
     Attributes:
-        box_sizes: edge lengths of the boxes to draw from [m]: 0.06 (50 g), 0.08 (80 g).
+        box_sizes: edge lengths of the boxes to draw from [m].
+        box_masses: mass of each of them [kg]; none takes the paper's, which has 0.06 m (50 g) and 0.08 m (80 g).
     """
 
     run_dir: Path = Path("runs/push")
     box_sizes: tuple[float, ...] = (0.06, 0.08)
+    box_masses: tuple[float, ...] = ()
 
     bounds: ClassVar[dict[str, Bounds]] = {"box_sizes": Bounds(1e-3, 1.0, "m")}
 
@@ -135,7 +137,8 @@ def make_push_env(
     if given:
         raise ValueError(f"{len(given)} episodes are given; expected none, since pushing episodes are drawn.")
     settings = env_settings(config, num_envs=num_envs, seed=seed, audit=audit)
-    return PushEnv(box_sizes=config.box_sizes, duration=config.duration, **settings)
+    masses = config.box_masses or None
+    return PushEnv(box_sizes=config.box_sizes, box_masses=masses, duration=config.duration, **settings)
 
 
 def make_push_policy(

@@ -27,7 +27,10 @@ _CLAIMS = (
 
 
 def _boxes(config: PushConfig) -> dict[str, dict[str, Any]]:
-    return {f"{100 * size:.0f} cm": {"box_sizes": (size,)} for size in config.box_sizes}
+    groups: dict[str, dict[str, Any]] = {f"{100 * size:.0f} cm": {"box_sizes": (size,)} for size in config.box_sizes}
+    for group, mass in zip(groups.values(), config.box_masses, strict=False):  # by default there are none
+        group["box_masses"] = (mass,)
+    return groups
 
 
 PUSH = Task(

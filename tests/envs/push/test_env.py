@@ -223,9 +223,9 @@ def test_a_pushing_episode_is_terminated_at_its_horizon_and_not_truncated():
 # -- bad input ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("box_sizes", [(0.07,), (0.06, 0.1), ()])
-def test_an_unknown_box_size_is_refused_with_the_known_ones(box_sizes):
-    with pytest.raises(ValueError, match=r"box_sizes are .*; expected one or more of \(0.06, 0.08\) m"):
+@pytest.mark.parametrize("box_sizes", [(0.07,), (0.06, 0.1)])
+def test_a_box_size_without_a_nominal_mass_is_refused_with_the_remedy(box_sizes):
+    with pytest.raises(ValueError, match=r"without a nominal mass; expected sizes among \[0.06, 0.08\] m.*box_masses"):
         PandaPushEnv(1, box_sizes=box_sizes)
 
 

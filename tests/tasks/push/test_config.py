@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from ppt_rl.tasks import episode_metrics, make_controller
-from ppt_rl.tasks.push import PushConfig, make_push_env
+from ppt_rl.tasks.push import PUSH, PushConfig, make_push_env
 from ppt_rl.training import prepare_torch
 from tests.envs.scenes import leaves
 
@@ -68,3 +68,13 @@ def test_seeding_repeats_the_numbers_and_sets_the_threads():
     finally:
         torch.set_num_threads(before)
     assert draws[0] == draws[1] != draws[2]
+
+
+def test_masses_reach_the_environment_and_each_group_keeps_its_own():
+    config = replace(CONFIG, box_sizes=(0.06, 0.1), box_masses=(0.05, 0.2))
+    env = make_push_env(config, num_envs=2)
+    assert (env.boxes.sizes, env.boxes.masses) == ((0.06, 0.1), (0.05, 0.2))
+    env.close()
+    groups = PUSH.groups(config)
+    assert groups["10 cm"] == {"box_sizes": (0.1,), "box_masses": (0.2,)}
+    assert PUSH.groups(CONFIG)["6 cm"] == {"box_sizes": (0.06,)}
