@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -38,16 +37,6 @@ class Judged:
     seed: int = 10_000
     num_envs: int = 128
     num_threads: int = 0
-
-    def check(self, episodes: int) -> None:
-        """Refuse impossible numbers before anything is loaded.
-
-        Args:
-            episodes: number of episodes.
-        """
-        from ppt_rl.evaluation.episodes import require_run_options
-
-        require_run_options(episodes=episodes, seed=self.seed, num_envs=self.num_envs)
 
     def load(self) -> Policy:
         """Load the policy with its changed options."""
@@ -88,12 +77,10 @@ class Evaluate(Judged):
     def run(self) -> None:
         """Judge and report."""
         from ppt_rl.evaluation import evaluate
-        from ppt_rl.evaluation.drawing import MOST_FILMED, draw_policy
-        from ppt_rl.functional.argument_checks import require_whole
+        from ppt_rl.evaluation.drawing import draw_policy, require_filmable
 
-        self.check(self.episodes)
-        require_whole("film", self.film, 1, MOST_FILMED)
-        _require_folder("report", self.report)
+        require_filmable(self.film, "film")
+        _check(episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, report=self.report)
         policy = self.load()
         result = evaluate(
             policy, episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, groups=self.per_group,
@@ -122,14 +109,13 @@ class Film(Judged):
 
     def run(self) -> None:
         """Record and film."""
-        from ppt_rl.evaluation.drawing import MOST_FILMED, film
-        from ppt_rl.functional.argument_checks import require_whole
+        from ppt_rl.evaluation.drawing import film, require_filmable
 
-        self.check(self.episodes)
-        require_whole("episodes", self.episodes, 1, MOST_FILMED)
+        require_filmable(self.episodes)
         if self.output is not None and (self.output.suffix != ".mp4" or self.output.is_dir()):
             raise ValueError(f"output is {self.output}; expected the path of a file that ends in .mp4.")
-        _require_folder("output", None if self.output is None else self.output.parent)
+        folder = None if self.output is None else self.output.parent
+        _check(episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, output=folder)
         policy = self.load()
         output = self.output or Path(f"{policy.variant}.mp4")
         print(film(policy, output, episodes=self.episodes, seed=self.seed))
@@ -158,8 +144,7 @@ class CalibrateTank(Judged):
         """Calibrate and report."""
         from ppt_rl.evaluation import calibrate
 
-        self.check(self.episodes)
-        _require_folder("report", self.report)
+        _check(episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, report=self.report)
         result = calibrate(
             self.load(), episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, quantile=self.quantile,
             margin=self.margin,
@@ -209,9 +194,8 @@ class Study:
             num_envs=self.num_envs, settings=_pairs(self.settings), runs=self.runs, results=self.results,
             publish=self.publish,
         )  # fmt: skip
-        _require_folder("results", study.results_dir)
-        _require_folder("runs", None if self.report_only else self.runs)
-        _require_folder("publish", self.publish)
+        runs = None if self.report_only else self.runs
+        _check(episodes=1, seed=0, results=study.results_dir, runs=runs, publish=self.publish)
         evaluation.run_study(study, report_only=self.report_only)
 
 
@@ -238,12 +222,10 @@ class Sweep:
     def run(self) -> None:
         """Sweep and draw."""
         from ppt_rl.evaluation import run_sweep
-        from ppt_rl.evaluation.episodes import require_run_options
 
         if not self.policies:
             raise ValueError("no policy is given; expected at least one.")
-        require_run_options(episodes=self.episodes, seed=self.seed)
-        _require_folder("report", self.report)
+        _check(episodes=self.episodes, seed=self.seed, report=self.report)
         policies = [_load(name, None, (f"num_threads={self.num_threads}",)) for name in self.policies]
         run_sweep(policies, episodes=self.episodes, seed=self.seed, baselines=self.baseline, report=self.report)
 
@@ -268,18 +250,15 @@ def _load(name: str, recipe: str | None, settings: tuple[str, ...]) -> Policy:
     return replace(policy, config=with_settings(policy.config, _pairs(settings)))
 
 
-def _require_folder(option: str, folder: Path | None) -> None:
-    """Raise unless files can be written into a folder, which is created; None stands for none."""
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise ValueError(
-            f"{option} is {folder}, where nothing can be written ({error.strerror}); expected a folder. Name another."
-        ) from error
+def _check(*, episodes: int, seed: int, num_envs: int = 1, **folders: Path | None) -> None:
+    """Refuse impossible numbers, and folders where nothing can be written, before anything is loaded."""
+    from ppt_rl.evaluation.episodes import require_run_options
+    from ppt_rl.evaluation.outputs import require_folder
+
+    require_run_options(episodes=episodes, seed=seed, num_envs=num_envs)
+    for option, folder in folders.items():
+        if folder is not None:
+            require_folder(option, folder)
 
 
 def _pairs(settings: tuple[str, ...]) -> dict[str, str]:

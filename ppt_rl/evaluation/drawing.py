@@ -15,10 +15,23 @@ from ppt_rl.evaluation.policy import Policy
 from ppt_rl.evaluation.video import episode_frames, write_video
 from ppt_rl.functional.argument_checks import require_whole
 
-__all__ = ["MOST_FILMED", "draw_policy", "film"]
+__all__ = ["draw_policy", "film", "require_filmable"]
 
 #: Largest number of episodes in a video.
-MOST_FILMED = 100
+_MOST = 100
+
+
+def require_filmable(episodes: int, name: str = "episodes") -> None:
+    """Raise unless a number of episodes fits into a video.
+
+    Args:
+        episodes: the number.
+        name: name of the option, for the error message.
+
+    Raises:
+        ValueError: if it is not from 1 to 100.
+    """
+    require_whole(name, episodes, 1, _MOST)
 
 
 def draw_policy(policy: Policy, directory: Path, *, episodes: int, seed: int) -> None:
@@ -69,7 +82,7 @@ def film(
     Raises:
         ValueError: if ``episodes`` is not from 1 to 100, or the path does not end in ``.mp4``.
     """
-    require_whole("episodes", episodes, 1, MOST_FILMED)
+    require_filmable(episodes)
     require_run_options(episodes=episodes, seed=seed)
     if path.suffix != ".mp4":
         raise ValueError(f"the video's path is {path}; expected one that ends in .mp4.")
