@@ -109,6 +109,11 @@ def _power(effort: Tensor, flow: Tensor, energy: Tensor, ulp: float) -> tuple[Te
 
     The second value says where it fits; None stands for everywhere.
     """
+    if effort.shape[-1:] != flow.shape[-1:] or energy.shape[-1:] != (1,):
+        raise ValueError(
+            f"effort is {tuple(effort.shape)}, flow {tuple(flow.shape)}, tank_energy {tuple(energy.shape)} in shape; "
+            "expected effort and flow (*B, N) and a level (*B, 1)."
+        )
     terms = effort * flow
     share = 0.5 * (terms.shape[-1] + 3) * ulp
     p = torch.add(terms.sum(-1, keepdim=True).abs(), terms.abs().sum(-1, keepdim=True), alpha=share)

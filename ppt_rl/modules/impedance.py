@@ -129,7 +129,10 @@ class CartesianImpedanceController(nn.Module):
 
 def _six(name: str, value: float | Sequence[float], share: float = 1.0) -> Tensor:
     """Gains of the six axes; of one number, rotation gets a share."""
-    gains = torch.as_tensor(value, dtype=torch.get_default_dtype())
+    try:
+        gains = torch.as_tensor(value, dtype=torch.get_default_dtype())
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{name} is {value!r}; expected 1 or 6 positive finite numbers.") from error
     if gains.numel() not in (1, 6):
         raise ValueError(f"{name} has {gains.numel()} numbers; expected 1 or 6 (three linear, three angular).")
     if not bool((gains > 0).all()) or not bool(torch.isfinite(gains).all()):

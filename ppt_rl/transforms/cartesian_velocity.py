@@ -10,8 +10,10 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 
+from ppt_rl.functional.argument_checks import require_instance, require_numbers
 from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.heading import from_heading
+from ppt_rl.modules.joint_space import JointSpace
 from ppt_rl.modules.task_space import TaskSpace
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.specs import real, replace_leaf
@@ -70,6 +72,7 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
         heading_key: NestedKey | None = None,
     ) -> None:
         super().__init__(action_key)
+        require_instance("task_space", task_space, TaskSpace, JointSpace)
         if heading_key is not None and task_space.axes != ("x", "y", "z"):
             raise ValueError(f"task_space has the coordinates {task_space.axes}; expected ('x', 'y', 'z').")
         self.heading_key = heading_key
@@ -127,7 +130,7 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
 
 
 def _bound(name: str, value: float | Sequence[float], size: int) -> Tensor:
-    bound = torch.as_tensor(value, dtype=torch.get_default_dtype()).reshape(-1)
-    if bound.numel() not in (1, size) or not bool((bound > 0).all() & bound.isfinite().all()):
+    bound = require_numbers(name, value, (1, size))
+    if not bool((bound > 0).all()):
         raise ValueError(f"{name} is {value}; expected 1 or {size} positive numbers.")
     return bound.expand(size).clone()

@@ -99,7 +99,7 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         out_keys: tuple[NestedKey, NestedKey] = ("tank_energy", "valve"),
     ) -> None:
         super().__init__(effort_key)
-        if len(out_keys) != 2:
+        if len(out_keys) != 2 or out_keys[0] == out_keys[1]:
             raise ValueError(f"out_keys are {out_keys}; expected two: where the level and the valve are written.")
         if mode not in TANK_LAWS:
             raise ValueError(

@@ -9,6 +9,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.envs import RandomTruncationTransform, StepCounter, TerminateTransform, Transform
 
+from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.metrics import (
     MEMORY_SIZE,
     METRICS,
@@ -69,6 +70,7 @@ class EpisodeMetricsTransform(TimedTransform, ObserverTransform):
         super().__init__(in_keys=[twist_key, wrench_key], out_keys=[("metrics", name) for name in METRICS])
         self.power_key = power_key
         self.config = MetricsConfig() if config is None else config
+        require_instance("config", self.config, MetricsConfig)
         self.dt = dt
 
     def _check_place(self) -> None:

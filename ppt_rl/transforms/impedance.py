@@ -6,6 +6,7 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.data import Composite
 
+from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.transforms.base import ActionTransform
@@ -43,6 +44,7 @@ class ImpedanceTransform(ActionTransform):
         twist_key: NestedKey = "twist",
     ) -> None:
         super().__init__(action_key)
+        require_instance("controller", controller, CartesianImpedanceController)
         self.controller = controller
         self.pose_key = pose_key
         self.twist_key = twist_key

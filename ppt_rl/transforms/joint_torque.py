@@ -10,6 +10,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 
+from ppt_rl.functional.argument_checks import require_in_range, require_instance, require_numbers
 from ppt_rl.functional.checks import require_last_dim, require_positive
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
 from ppt_rl.functional.limits import EffortBounds, scale_change, scale_into
@@ -64,23 +65,20 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         action_key: NestedKey = "action",
     ) -> None:
         super().__init__(action_key)
+        require_instance("kinematics", kinematics, Kinematics)
         arm = kinematics.arm
         posture = arm.home if posture is None else posture
         if len(posture) != arm.num_joints:
             raise ValueError(f"posture has {len(posture)} numbers; expected {arm.num_joints} joint positions [rad].")
-        if posture_stiffness < 0 or posture_damping < 0:
-            raise ValueError(
-                f"posture_stiffness={posture_stiffness}, posture_damping={posture_damping}; expected both at least 0."
-            )
         self.kinematics = kinematics
         self.has_nullspace = arm.num_joints > 6
-        self.posture_stiffness = float(posture_stiffness)
-        self.posture_damping = float(posture_damping)
+        self.posture_stiffness = require_in_range("posture_stiffness", posture_stiffness, 0.0, unit="N m/rad")
+        self.posture_damping = require_in_range("posture_damping", posture_damping, 0.0, unit="N m s/rad")
         rate = None if max_torque_rate is None else require_positive("max_torque_rate", max_torque_rate, "N m/s")
         self.max_torque_rate, self._needs_dt = rate, rate is not None
         self.dt = dt
         self._bounds: EffortBounds | None = None
-        self.register_buffer("posture", torch.tensor(posture), persistent=False)
+        self.register_buffer("posture", require_numbers("posture", posture, [arm.num_joints]), persistent=False)
         self.register_buffer("joint_inertia", torch.tensor(arm.joints.inertia), persistent=False)
         self.register_buffer("torque_limit", torch.tensor(arm.joints.torque_limits), persistent=False)
 

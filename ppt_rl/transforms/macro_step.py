@@ -10,6 +10,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
+from ppt_rl.functional.argument_checks import require_number, require_whole
 from ppt_rl.functional.checks import require_finite
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.chain import base_of
@@ -71,12 +72,12 @@ class MacroStepTransform(ActionTransform):
         action_key: NestedKey = "action",
     ) -> None:
         super().__init__(action_key)
-        if num_steps is not None and num_steps < 1:
-            raise ValueError(f"num_steps is {num_steps}; expected at least 1, or None.")
-        if not 0.0 < discount <= 1.0:
+        if isinstance(trace_keys, str):
+            raise ValueError(f"trace_keys is {trace_keys!r}; expected a list of keys, such as [{trace_keys!r}].")
+        self.num_steps = None if num_steps is None else require_whole("num_steps", num_steps)
+        self.discount = require_number("discount", discount, "a number in (0, 1]")
+        if not 0.0 < self.discount <= 1.0:
             raise ValueError(f"discount is {discount}; expected a number in (0, 1].")
-        self.num_steps = num_steps
-        self.discount = float(discount)
         self.trace_keys = list(trace_keys)
         self.interrupt_key = interrupt_key
 

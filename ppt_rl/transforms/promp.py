@@ -10,8 +10,10 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 
+from ppt_rl.functional.argument_checks import require_instance, require_numbers, require_whole
 from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.promp import Gaussian, unvec, vec
+from ppt_rl.modules.joint_space import JointSpace
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
 from ppt_rl.transforms.base import ActionTransform
@@ -68,19 +70,21 @@ class ProMPTransform(TimedTransform, ActionTransform):
         weights_key: NestedKey = "weights_mean",
     ) -> None:
         super().__init__(action_key)
+        require_instance("promp", promp, ProMP)
+        require_instance("task_space", task_space, TaskSpace, JointSpace)
         if promp.num_dof != task_space.num_dof:
             raise ValueError(
                 f"the ProMP has {promp.num_dof} degrees of freedom and the task space has the coordinates "
                 f"{task_space.axes}; expected equal numbers."
             )
-        scale = torch.as_tensor(residual_scale, dtype=torch.get_default_dtype()).reshape(-1)
-        if scale.numel() not in (1, promp.num_dof) or not bool((scale > 0).all()):
+        scale = require_numbers("residual_scale", residual_scale, (1, promp.num_dof))
+        if not bool((scale > 0).all()):
             raise ValueError(f"residual_scale is {residual_scale}; expected 1 or {promp.num_dof} positive numbers.")
         self.promp = promp
         self.task_space = task_space
         self.pose_key = pose_key
         self.weights_key = weights_key
-        self.replan_steps = None if replan_steps is None else int(replan_steps)
+        self.replan_steps = None if replan_steps is None else require_whole("replan_steps", replan_steps)
         self.register_buffer("residual_scale", scale.expand(promp.num_dof).clone())
         self.dt = dt
 

@@ -9,10 +9,6 @@ from torchrl.envs.utils import check_env_specs
 from tests.transforms.cases import CASES, make_chain_env, make_env
 from tests.transforms.mocks import actions_for, play
 
-_CAUSE = "JointTorqueTransform uses its posture, inertia and limits in their own precision instead of the wrench's"
-joint_torque = pytest.mark.xfail(strict=True, raises=RuntimeError, reason=_CAUSE)
-NAMES = [pytest.param(name, marks=joint_torque if name == "JointTorqueTransform" else ()) for name in sorted(CASES)]
-
 
 def assert_close_and_of_the_same_precision(one, other):
     assert set(one.keys(True, True)) == set(other.keys(True, True))
@@ -23,7 +19,7 @@ def assert_close_and_of_the_same_precision(one, other):
         )
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", sorted(CASES))
 def test_a_transform_in_double_precision_keeps_the_specs_and_values_of_a_single_precision_environment(name):
     single, double = make_env(name, (2,)), make_env(name, (2,))
     double.transform.double()
@@ -34,7 +30,6 @@ def test_a_transform_in_double_precision_keeps_the_specs_and_values_of_a_single_
     assert_close_and_of_the_same_precision(play(double, actions), play(single, actions))
 
 
-@joint_torque
 def test_the_whole_chain_in_double_precision_runs_over_a_single_precision_environment():
     single, double = make_chain_env(2), make_chain_env(2)
     double.transform.double()
