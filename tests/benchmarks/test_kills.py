@@ -1,28 +1,27 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import kills
 import pytest
 
 
-def run(root, number, lives):
-    command = [sys.executable, root / "benchmarks" / "kills.py", "--kills", str(number), "--lives", str(lives)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=root)
+def kill(number, lives, capsys):
+    """Kill trainings that are forked from this process; the report."""
+    with pytest.raises(SystemExit) as end:
+        kills.main(kills.Config(number, lives))
+    said = capsys.readouterr().out
+    assert end.value.code == 0, said
+    return said
 
 
-def test_four_killed_trainings_go_on_one_of_them_from_its_first_write(root):
-    done = run(root, 4, 4)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "2 inside the write of a checkpoint (1 in the first of a run), 2 at other times" in done.stdout
+def test_four_killed_trainings_go_on_one_of_them_from_its_first_write(capsys):
+    expected = "2 inside the write of a checkpoint (1 in the first of a run), 2 at other times"
+    assert expected in kill(4, 4, capsys)
 
 
 @pytest.mark.slow
-def test_a_hundred_killed_trainings_go_on(root):
-    done = run(root, 100, 10)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "50 inside the write of a checkpoint (10 in the first of a run), 50 at other times" in done.stdout
+def test_a_hundred_killed_trainings_go_on(capsys):
+    expected = "50 inside the write of a checkpoint (10 in the first of a run), 50 at other times"
+    assert expected in kill(100, 10, capsys)
 
 
 def test_a_loss_of_more_than_one_interval_or_a_fault_fails(capsys):
