@@ -1,6 +1,9 @@
 """A ProMP policy behind an energy tank on other people's environments: ``python examples/reacher.py [dm_control|gym]``.
 
 Both robots have two joints. An action of 1 is ``gear`` newton metres, so limits in watts and joules are divided by it.
+
+A minute of training is short. Mean returns of 80 episodes before and after it (seed 0): -12.7 and -9.0 on Gymnasium's
+``Reacher-v5``; 1.3 and 4.2 on dm_control's ``reacher-easy``, whose reward is sparse and where random residuals get 4.9.
 """
 
 from __future__ import annotations
@@ -90,8 +93,8 @@ REACHERS = {
     "dm_control": Reacher(
         lambda: DMControlEnv("reacher", "easy", time_limit=2.0),
         lambda: [RenameTransform(["position", "velocity"], ["joint_position", "joint_velocity"])],
-        ("to_target",), dt=0.02, duration=2.0, gear=0.05, stiffness=(4.0, 1.0), damping=(0.6, 0.05), p_max=0.05,
-        e_max=0.03, control_steps=40_000,
+        ("to_target",), dt=0.02, duration=2.0, gear=0.05, stiffness=(4.0, 1.0), damping=(0.6, 0.05), p_max=0.2,
+        e_max=0.3, control_steps=60_000,
     ),
     "gym": Reacher(
         lambda: GymEnv("Reacher-v5"),
@@ -117,7 +120,7 @@ def make_chain(reacher: Reacher) -> list[Transform]:
         PDTrackingTransform(reacher.stiffness, reacher.damping, continuous=(0,)),  # reference -> effort
         MacroStepTransform(replan),  # one policy step = a fifth of an episode
         ProMPTransform(
-            promp, joints, residual_scale=1.0, replan_steps=replan, dt=reacher.dt, pose_key="joint_position"
+            promp, joints, residual_scale=1.5, replan_steps=replan, dt=reacher.dt, pose_key="joint_position"
         ),  # residual -> references
         UnaryTransform(["joint_position"], ["weights_mean"], fn=standing),
     ]
@@ -133,7 +136,7 @@ def make_env(reacher: Reacher, num_envs: int, seed: int) -> TransformedEnv:
 def make_policy(reacher: Reacher, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
     """Actor and critic on the joints, the target, the phase and the tank."""
     keys = ("joint_position", "joint_velocity", *reacher.reads, "reference_position", "phase", "tank_energy")
-    return make_actor_critic(env, keys, keys, initial_scale=0.5)
+    return make_actor_critic(env, keys, keys, initial_scale=1.0)
 
 
 def train(reacher: Reacher, control_steps: int | None = None, num_envs: int = 16, seed: int = 0) -> nn.Module:
@@ -143,8 +146,10 @@ def train(reacher: Reacher, control_steps: int | None = None, num_envs: int = 16
     actor, critic = make_policy(reacher, env)
     begin_norms(env, [actor, critic], resets=1)
     budget = reacher.control_steps if control_steps is None else control_steps
-    learner = Learner(actor, critic, PPOConfig(gamma=0.999, minibatches=4, epochs=8, target_kl=0.03))
-    collector = Collector(env, actor, frames_per_batch=20 * num_envs, total_frames=-1)
+    learner = Learner(
+        actor, critic, PPOConfig(gamma=0.999, gae_lambda=0.8, epochs=10, target_kl=0.05, learning_rate=1e-3)
+    )
+    collector = Collector(env, actor, frames_per_batch=10 * num_envs, total_frames=-1)
     for batch in collector:
         learner.update(batch)
         for module in (actor, critic):
