@@ -18,7 +18,6 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torchrl.collectors import Collector
 from torchrl.envs import (
-    ClipTransform,
     Compose,
     DMControlEnv,
     DoubleToFloat,
@@ -116,7 +115,6 @@ def make_chain(reacher: Reacher) -> list[Transform]:
         DoubleToFloat(),
         *reacher.names(),  # observations -> joint_position, joint_velocity
         EnergyTankTransform(reacher.p_max / reacher.gear, reacher.e_max / reacher.gear, dt=reacher.dt),
-        ClipTransform(in_keys_inv=["action"], low=-1.0, high=1.0),  # what the tank lets pass, the motors can do
         PDTrackingTransform(reacher.stiffness, reacher.damping, continuous=(0,)),  # reference -> effort
         MacroStepTransform(replan),  # one policy step = a fifth of an episode
         ProMPTransform(

@@ -120,7 +120,7 @@ def _power(effort: Tensor, flow: Tensor, energy: Tensor, ulp: float) -> tuple[Te
     if are_finite(p + energy):  # then so are effort, flow and level
         return p, None
     for name, value in (("effort", effort), ("flow", flow), ("tank_energy", energy)):
-        require_finite(f"{name} of the energy tank", value)
+        require_finite(name, value)
     fits = p.isfinite()
     return torch.where(fits, p, 0.0), fits
 

@@ -39,7 +39,7 @@ def make_actor_critic(
     spec = env.observation_spec
     unknown = [key for key in (*actor_keys, *critic_keys) if key not in spec.keys(True, True)]
     if unknown:
-        raise KeyError(f"observations {unknown} are unknown; the environment has {list(spec.keys(True, True))}.")
+        raise KeyError(f"observations {unknown} are unknown; expected some of {list(spec.keys(True, True))}.")
 
     def width(keys: Sequence[str]) -> int:
         return sum(spec[key].shape[-1] for key in keys)

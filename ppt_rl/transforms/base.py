@@ -161,6 +161,7 @@ class StatefulTransform(Transform):
         return next_tensordict
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        self._check_place()
         tensordict_reset = self._after_reset(tensordict, tensordict_reset)
         self._remember(tensordict_reset)
         return tensordict_reset
@@ -232,6 +233,14 @@ class ActionTransform(StatefulTransform):
     def action_key(self) -> NestedKey:
         """Key of the action."""
         return self.in_keys_inv[0]
+
+    def _check_place(self) -> None:
+        super()._check_place()
+        keys = list(self.parent.full_action_spec.keys(True, True))
+        if unravel_key(self.action_key) not in keys:
+            raise KeyError(
+                f"{type(self).__name__} acts on {self.action_key!r}; expected one of {keys}, the action keys there are."
+            )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict

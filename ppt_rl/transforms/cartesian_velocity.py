@@ -115,7 +115,8 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
 
     def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         (pose,) = self._require(tensordict_reset, self.pose_key)
-        self._restart(tensordict, tensordict_reset, "reference_position", self.task_space.project(pose))
+        position = self.task_space.project(pose).to(self._like().dtype)
+        self._restart(tensordict, tensordict_reset, "reference_position", position)
         return tensordict_reset
 
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:

@@ -8,7 +8,7 @@ from tensordict.utils import NestedKey, expand_as_right, unravel_key_list
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
-from ppt_rl.functional.checks import require_all, require_positive
+from ppt_rl.functional.checks import require_all, require_finite, require_positive
 from ppt_rl.functional.energy_tank import TANK_LAWS
 from ppt_rl.functional.limits import EffortBounds, scale_into
 from ppt_rl.transforms.base import ActionTransform
@@ -121,6 +121,8 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (effort,) = self._require(tensordict, self.action_key)
+        if not effort.is_floating_point():
+            raise ValueError(f"action {self.action_key!r} is of {effort.dtype}; expected a floating-point effort.")
         flow = self._flow(tensordict, effort)
         energy = self._level(tensordict, effort)
         bounds = self._bounds()
@@ -155,6 +157,12 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         if own is not None and own.device.type == "cpu" and torch.equal(given, own):
             return own
         most, rows = self.e_max if own is None else own, self._stepping(tensordict)
+        if given.shape != (*effort.shape[:-1], 1):
+            raise ValueError(
+                f"the level {self.energy_key!r} has shape {tuple(given.shape)}; expected {(*effort.shape[:-1], 1)}."
+            )
+        require_finite(str(self.energy_key), given)
+        require_all(given >= 0, f"the level {self.energy_key!r} is negative; expected 0 to {self.e_max} J.")
         lawful = given <= most + _SAME_LEVEL * self.e_max
         require_all(
             lawful if rows is None else lawful | ~expand_as_right(rows, lawful),

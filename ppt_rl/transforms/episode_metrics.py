@@ -75,6 +75,10 @@ class EpisodeMetricsTransform(TimedTransform, ObserverTransform):
 
     def _check_place(self) -> None:
         super()._check_place()
+        if _MEMORY in self.parent.full_observation_spec.keys():
+            raise ValueError(
+                "the environment has metrics already; expected one EpisodeMetricsTransform. Remove the others."
+            )
         missed = [type(other).__name__ for other in transforms_after(self) if _is_missed(other)]
         if missed:
             raise ValueError(

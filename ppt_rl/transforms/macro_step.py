@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.utils import NestedKey
+from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
@@ -145,6 +145,7 @@ class MacroStepTransform(ActionTransform):
         return next_tensordict
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        self._check_place()
         for key, zero in self._zeros(self._outputs(), tensordict_reset).items():
             tensordict_reset.set(key, zero)
         return tensordict_reset
@@ -220,6 +221,16 @@ class MacroStepTransform(ActionTransform):
         if len(others) not in (0, len(keys)):
             raise ValueError(f"MacroStepTransform makes chunks of {self.action_key!r} alone; expected no {others}.")
 
+    def _check_place(self) -> None:
+        super()._check_place()
+        available = list(self.parent.full_observation_spec.keys(True, True))
+        if "control_steps" in available:
+            raise ValueError("the environment has a MacroStepTransform already; expected one. Leave the other out.")
+        wanted = [*self.trace_keys, *([] if self.interrupt_key is None else [self.interrupt_key])]
+        unknown = [key for key in wanted if unravel_key(key) not in available]
+        if unknown:
+            raise KeyError(f"trace key or interrupt_key {unknown} is no observation; expected one of {available}.")
+
     def _outputs(self) -> dict[NestedKey, TensorSpec]:
         self._check_parent()
         parent = self.parent
@@ -231,8 +242,6 @@ class MacroStepTransform(ActionTransform):
             raise ValueError("trace_keys need num_steps, so that their shape is known; pass num_steps=N.")
         available = parent.full_observation_spec
         for key in self.trace_keys:
-            if key not in available.keys(True, True):
-                raise KeyError(f"trace key {key!r} is no observation; there are {list(available.keys(True, True))}.")
             spec = available[key]
             shape = (*batch, self.num_steps, *spec.shape[len(batch) :])
             outputs[trace_key(key)] = Unbounded(shape=shape, dtype=spec.dtype, device=device)

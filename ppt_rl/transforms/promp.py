@@ -13,6 +13,7 @@ from torchrl.data import Composite, TensorSpec
 from ppt_rl.functional.argument_checks import require_instance, require_numbers, require_whole
 from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.promp import Gaussian, unvec, vec
+from ppt_rl.functional.shape_checks import require_trailing
 from ppt_rl.modules.joint_space import JointSpace
 from ppt_rl.modules.promp import ProMP
 from ppt_rl.modules.task_space import TaskSpace
@@ -137,7 +138,7 @@ class ProMPTransform(TimedTransform, ActionTransform):
         phase = self._known(tensordict, "phase")
         if phase is None:
             (pose,) = self._recall(tensordict, self.pose_key)
-            position = self.task_space.project(pose)
+            position = self.task_space.project(pose).to(action.dtype)
             return torch.zeros_like(action[..., :1]), position, torch.zeros_like(position)
         position, velocity = self._recall(tensordict, "reference_position", "reference_velocity")
         return phase, position, velocity
@@ -149,7 +150,9 @@ class ProMPTransform(TimedTransform, ActionTransform):
     def _weights(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
         reference = tensordict.get(self.weights_key, None)
         if reference is None:
-            reference = self.promp.weights_mean.to(action.dtype)
+            reference = self.promp.weights_mean
+        require_trailing(str(self.weights_key), reference, self.promp.num_basis, self.promp.num_dof)
+        reference = reference.to(action.dtype)
         return reference + self.residual_scale.to(action.dtype) * unvec(action, self.promp.num_basis)
 
     def _joined(self, weights: Tensor, phase: Tensor, position: Tensor, velocity: Tensor) -> Tensor:
@@ -189,7 +192,7 @@ class ProMPTransform(TimedTransform, ActionTransform):
 
     def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         (pose,) = self._require(tensordict_reset, self.pose_key)
-        position = self.task_space.project(pose)
+        position = self.task_space.project(pose).to(self._like().dtype)
         zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)
         self._restart(tensordict, tensordict_reset, "phase", zeros["phase"])
         self._restart(tensordict, tensordict_reset, "reference_position", position)
