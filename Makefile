@@ -1,4 +1,4 @@
-# Everything a fresh machine needs is Python 3.11 or later, make and a package registry.
+# Everything a fresh machine needs is Python 3.11 or 3.12, make and a package registry.
 PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
