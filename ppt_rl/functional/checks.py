@@ -115,6 +115,11 @@ def require_all(condition: Tensor, message: str) -> None:
         raise ValueError(message)
 
 
+def _is_traced() -> bool:
+    """Whether this runs inside ``torch.compile`` or ``torch.vmap``, where nothing may depend on a value."""
+    return torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None
+
+
 def are_finite(value: Tensor) -> bool:
     """Whether a tensor on the CPU is known to have finite entries only, from their sum.
 
@@ -122,9 +127,10 @@ def are_finite(value: Tensor) -> bool:
         value: any tensor.
 
     Returns:
-        False where an entry is not finite, or where nothing is known: the sum overflows, or the tensor is elsewhere.
+        False where an entry is not finite, or where nothing is known: the sum overflows, the tensor is elsewhere, or
+        the function is being traced.
     """
-    return value.device.type == "cpu" and math.isfinite(value.detach().sum())
+    return not _is_traced() and value.device.type == "cpu" and math.isfinite(value.detach().sum())
 
 
 def require_finite(name: str, value: Tensor) -> None:
@@ -140,7 +146,7 @@ def require_finite(name: str, value: Tensor) -> None:
     Raises:
         ValueError: if an entry of a CPU tensor is not finite.
     """
-    if torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None:
+    if _is_traced():
         return
     # If the sum is finite, so is every entry. The converse fails on overflow only: then each entry is checked.
     if value.device.type != "cpu":

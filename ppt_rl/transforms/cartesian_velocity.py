@@ -10,7 +10,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec
 
-from ppt_rl.functional.argument_checks import require_instance, require_numbers
+from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.checks import require_finite, require_last_dim
 from ppt_rl.functional.heading import from_heading
 from ppt_rl.modules.joint_space import JointSpace
@@ -131,7 +131,10 @@ class CartesianVelocityTransform(TimedTransform, ActionTransform):
 
 
 def _bound(name: str, value: float | Sequence[float], size: int) -> Tensor:
-    bound = require_numbers(name, value, (1, size))
-    if not bool((bound > 0).all()):
+    try:
+        bound = torch.as_tensor(value, dtype=torch.get_default_dtype()).reshape(-1)
+    except (TypeError, ValueError, RuntimeError):
+        bound = torch.empty(0)
+    if bound.numel() not in (1, size) or not bool((bound > 0).all() & bound.isfinite().all()):
         raise ValueError(f"{name} is {value}; expected 1 or {size} positive numbers.")
     return bound.expand(size).clone()

@@ -46,7 +46,7 @@ def chained(base: ArmEnv, **posture: float) -> TransformedEnv:
         base,
         Compose(
             JointTorqueTransform(Kinematics(base.arm, base.tool_length), **posture),
-            EnergyTankTransform(),
+            EnergyTankTransform(flow_key="twist"),
             ImpedanceTransform(CartesianImpedanceController(inertia=base.arm.apparent_inertia)),
             EpisodeMetricsTransform(),
         ),
