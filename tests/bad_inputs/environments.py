@@ -57,9 +57,9 @@ _ARMS = [
     bad(PandaEnv, "arm is 'ur5e', but PandaEnv is the Panda's environment. Use", arm=UR5E),
 ]
 _PUSH = [
-    bad(PushEnv, r"box_sizes are \(0.07,\); expected one or more of \(0.06, 0.08\) m", box_sizes=(0.07,)),
-    bad(PushEnv, r"box_sizes are \(\); expected", box_sizes=()),
-    bad(PushEnv, r"box_sizes are \(nan,\); expected", box_sizes=(math.nan,)),
+    bad(PushEnv, r"box_sizes has \[0.07\] without .*; expected sizes among \[0.06, 0.08\] m", box_sizes=(0.07,)),
+    bad(PushEnv, "box_sizes is empty; expected one edge length", box_sizes=()),
+    bad(PushEnv, "box_sizes is nan; expected a number from", box_sizes=(math.nan,)),
     bad(PushEnv, "box_sizes.*0.06.*; expected", box_sizes=0.06),
     bad(PushEnv, "box_sizes.*; expected", box_sizes="0.06"),
     *each(PushEnv, "success_radius", (0.0, math.nan, -0.02), _MEANT),
