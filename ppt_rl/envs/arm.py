@@ -16,6 +16,7 @@ from ppt_rl.envs.models import PADDLE, Tool, table_scene
 from ppt_rl.envs.physics import EngineConfig
 from ppt_rl.envs.readings import ArmReadings
 from ppt_rl.envs.specs import SpecMaker
+from ppt_rl.functional.argument_checks import require_instance, require_whole
 from ppt_rl.functional.checks import require_finite
 from ppt_rl.modules.kinematics import Kinematics
 
@@ -79,6 +80,9 @@ class ArmEnv(BatchedEnv):
         device: torch.device | str = "cpu",
         engine: EngineConfig | None = None,
     ) -> None:
+        require_instance("arm", arm, Arm)
+        if seed is not None:
+            require_whole("seed", seed, 0)
         engine = EngineConfig() if engine is None else engine
         super().__init__(num_envs, duration=duration, control_dt=control_dt, dtype=dtype, device=device, engine=engine)
         self.arm = arm

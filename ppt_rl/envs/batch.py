@@ -14,13 +14,14 @@ from torchrl.envs import EnvBase
 
 from ppt_rl.envs.audit import AuditedPhysics
 from ppt_rl.envs.lifetime import Lifetime
-from ppt_rl.envs.limits import require_count, require_within
+from ppt_rl.envs.limits import require_count, require_device, require_real, require_within
 from ppt_rl.envs.models import remove_visual_geoms
 from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.envs.physics import EngineConfig, ThreadedPhysics, substeps_per_control_step
 from ppt_rl.envs.rendering import RenderedScenes
 from ppt_rl.envs.row_generators import RowGenerators
 from ppt_rl.envs.specs import SpecMaker
+from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.checks import require_positive
 
 __all__ = ["BatchedEnv", "Rows"]
@@ -51,7 +52,8 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         engine: options of the physics.
 
     Raises:
-        ValueError: if a number is out of range or ``control_dt`` is no multiple of the physics' time step.
+        ValueError: if a number is out of range, an argument is of another type, or ``control_dt`` is no multiple of the
+            physics' time step.
     """
 
     #: Whether the horizon is the end of the task (``terminated``, so that nothing is bootstrapped beyond it) or only
@@ -73,9 +75,10 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         engine: EngineConfig,
     ) -> None:
         num_envs = require_count("num_envs", num_envs, _MOST_ENVS)
-        super().__init__(device=torch.device(device), batch_size=torch.Size([num_envs]))
+        require_instance("engine", engine, EngineConfig)
+        super().__init__(device=require_device("device", device), batch_size=torch.Size([num_envs]))
         self.num_envs = num_envs
-        self.dtype = dtype
+        self.dtype = require_real("dtype", dtype)
         self.engine_config = engine
         self.control_dt = require_positive("control_dt", control_dt, "s")
         require_within("control_dt", control_dt, (1e-4, 1.0, "s"))

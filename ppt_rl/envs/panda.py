@@ -8,6 +8,7 @@ from ppt_rl.arms import PANDA, Arm
 from ppt_rl.envs.arm import ArmEnv
 from ppt_rl.envs.maze import MazeEnv
 from ppt_rl.envs.push import PushEnv
+from ppt_rl.functional.argument_checks import require_instance
 
 __all__ = ["PandaEnv", "PandaMazeEnv", "PandaPushEnv"]
 
@@ -25,6 +26,7 @@ class PandaEnv(ArmEnv):
     """
 
     def __init__(self, num_envs: int = 1, *, arm: Arm = PANDA, **kwargs: Any) -> None:
+        require_instance("arm", arm, Arm)
         if arm != PANDA:
             raise ValueError(
                 f"arm is {arm.name!r}, but {type(self).__name__} is the Panda's environment. "

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from ppt_rl.evaluation.columns import COLUMNS
 from ppt_rl.evaluation.tables import markdown, mean_and_interval
+from ppt_rl.training.advice import in_one_line
 from ppt_rl.training.checkpoint import CheckpointMismatch
 from ppt_rl.training.logs import write_bytes_atomically, write_text_atomically
 
@@ -163,5 +164,6 @@ def load_pretrained(directory: Path, modules: Mapping[str, nn.Module]) -> None:
             module.load_state_dict({k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)})
     except (SafetensorError, RuntimeError) as error:
         raise CheckpointMismatch(
-            f"{directory / _WEIGHTS} does not fit the variant {card['variant']!r} ({error})."
+            f"{directory / _WEIGHTS} does not fit the variant {card['variant']!r} ({in_one_line(error)}). Take a fresh "
+            "copy of both files."
         ) from error

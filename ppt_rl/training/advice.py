@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 
-__all__ = ["advice_on"]
+__all__ = ["advice_on", "in_one_line"]
 
 _ELSEWHERE = "choose another place"
 #: What to do, by the number of the error.
@@ -27,6 +27,18 @@ _REMEDIES = {
     errno.ENOMEM: "lower --num-envs, or end other programs",
     errno.EIO: f"check the disk, or {_ELSEWHERE}",
 }
+
+
+def in_one_line(error: Exception) -> str:
+    """What an error says, in one line.
+
+    Args:
+        error: the error.
+
+    Returns:
+        The line.
+    """
+    return " ".join(str(error).split())
 
 
 def advice_on(error: OSError) -> str:

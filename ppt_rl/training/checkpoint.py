@@ -14,6 +14,7 @@ from typing import Any
 
 from torchrl.checkpoint import Checkpoint, CheckpointError, CheckpointRotation
 
+from ppt_rl.training.advice import in_one_line
 from ppt_rl.training.finite import TrainingDiverged, first_not_finite, size_of
 
 __all__ = [
@@ -196,7 +197,8 @@ def checkpoint_info(path: Path, variant: str | None = None) -> dict[str, Any]:
         broken = _broken_member(path)
     except _UNREADABLE as error:
         raise CheckpointMismatch(
-            f"{path} cannot be read as a checkpoint ({error}); it may be truncated. Use another checkpoint of the run."
+            f"{path} cannot be read as a checkpoint ({in_one_line(error)}); it may be truncated. Use another checkpoint "
+            "of the run."
         ) from error
     if broken is not None:
         raise CheckpointMismatch(f"{path} is damaged in {broken}; use another checkpoint of the run.")
@@ -238,7 +240,8 @@ def load_checkpoint(path: Path, components: Mapping[str, Any]) -> dict[str, Any]
         values = Checkpoint(**components).load(path).values
     except _UNREADABLE as error:
         raise CheckpointMismatch(
-            f"{path} does not fit ({error}); expected a checkpoint of the same variant, network and primitive."
+            f"{path} does not fit ({in_one_line(error)}); expected a checkpoint of the same variant, network and "
+            "primitive."
         ) from error
     broken = first_not_finite({**components, **values})
     if broken is not None:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 import torch
 
+from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.checks import Bounds, require_at_most, require_bounds
 from ppt_rl.training.ppo import PPOConfig
 
@@ -117,7 +118,7 @@ def from_json(config_class: type[_Config], settings: Mapping[str, Any]) -> _Conf
             f"{sorted(set(settings) - known)}; expected the fields {sorted(known)}."
         )
     try:
-        return config_class(**{name: _restored(hints[name], value) for name, value in settings.items()})
+        return config_class(**{name: _restored(name, hints[name], value) for name, value in settings.items()})
     except TypeError as error:
         raise ValueError(f"a setting of {config_class.__name__} does not fit: {error}.") from error
 
@@ -147,21 +148,25 @@ def with_settings(config: _Config, settings: Mapping[str, str]) -> _Config:
         if head not in hints:
             raise ValueError(f"option {name!r} is unknown; expected one of {sorted(hints)}.")
         old = getattr(config, head)
+        if rest and not is_dataclass(old):
+            raise ValueError(f"option {name!r} is unknown, since {head} is a value; expected {head}=VALUE.")
         new = with_settings(old, {rest: text}) if rest else _parsed(name, hints[head], text)
         config = replace(config, **{head: new})  # type: ignore[type-var]
     return config
 
 
-def _restored(hint: Any, value: Any) -> Any:
+def _restored(name: str, hint: Any, value: Any) -> Any:
     """A JSON value in the type of its field."""
-    if is_dataclass(hint) and isinstance(value, Mapping):
+    is_tuple = typing.get_origin(hint) is tuple
+    needed = (
+        [Mapping] if is_dataclass(hint) else [list, tuple] if is_tuple else [str, Path] if hint is Path else [object]
+    )
+    require_instance(name, value, *needed)
+    if is_dataclass(hint):
         return from_json(hint, value)  # type: ignore[arg-type]
-    options = typing.get_args(hint)
-    if typing.get_origin(hint) is tuple and isinstance(value, list):
-        return tuple(_restored(options[0], item) for item in value)
-    if hint is Path:
-        return Path(value)
-    return value
+    if is_tuple:
+        return tuple(_restored(f"an entry of {name}", typing.get_args(hint)[0], item) for item in value)
+    return Path(value) if hint is Path else value
 
 
 def _parsed(name: str, hint: Any, text: str) -> Any:

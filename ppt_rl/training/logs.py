@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torchrl.record.loggers import CSVLogger, TensorboardLogger
 
+from ppt_rl.training.advice import in_one_line
+
 __all__ = [
     "RunLogs",
     "read_scalar",
@@ -113,10 +115,17 @@ def read_scalar(run_dir: Path, name: str) -> tuple[NDArray[np.float64], NDArray[
         Steps and values.
 
     Raises:
-        FileNotFoundError: if it was never logged.
+        ValueError: if it was never logged, or its file is damaged.
     """
-    path = run_dir / "logs" / "csv" / "scalars" / f"{name}.csv"
-    data = np.loadtxt(path, delimiter=",", ndmin=2)
+    path = Path(run_dir) / "logs" / "csv" / "scalars" / f"{name}.csv"
+    expected = "expected a line of step and value for each batch. Train first, or name the directory of a run"
+    try:
+        lines = path.read_text().splitlines()
+        data = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.zeros((0, 0))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read ({in_one_line(error)}); {expected}.") from error
+    if data.shape[1] != 2:
+        raise ValueError(f"{path} has {data.shape[1]} columns; {expected}.")
     return data[:, 0], data[:, 1]
 
 

@@ -24,6 +24,7 @@ from ppt_rl.envs.maze.start import MazeRandomisation, draw_start
 from ppt_rl.envs.models import CYLINDER
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
+from ppt_rl.functional.argument_checks import require_instance, require_number, shown
 
 __all__ = ["MazeEnv"]
 
@@ -87,11 +88,18 @@ class MazeEnv(ArmEnv):
         duration: float = 20.0,
         **kwargs: Any,
     ) -> None:
-        if not max_force > 0:
+        if not callable(source):
+            raise ValueError(
+                f"source is {shown(source)}; expected a function that draws a MazeLayout. Use MazeEnv.straight, mazes "
+                "or of."
+            )
+        if require_number("max_force", max_force, "a force above 0 N") <= 0:
             raise ValueError(f"max_force is {max_force}; expected a force above 0 N.")
         self._source, self._stream = source, stream
         self.randomisation = MazeRandomisation() if randomisation is None else randomisation
         self.rewards = MazeRewards() if rewards is None else rewards
+        require_instance("randomisation", self.randomisation, MazeRandomisation)
+        require_instance("rewards", self.rewards, MazeRewards)
         self.max_force = float(max_force)
         super().__init__(num_envs, duration=duration, **kwargs)
 

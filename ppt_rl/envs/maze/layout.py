@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
+
+from ppt_rl.functional.argument_checks import require_instance, shown
 
 __all__ = ["Disc", "MazeLayout", "Segment", "Straight", "Turn", "paper_layout"]
 
@@ -66,6 +68,8 @@ class Disc:
 Segment = Straight | Turn | Disc
 #: More segments do not fit into any arm's reach.
 _MOST_SEGMENTS = 100
+#: What the JSON text of a layout looks like.
+_FORM = "{'segments': [{'kind': 'straight', ...}]}"
 _KINDS: dict[str, type[Segment]] = {"straight": Straight, "turn": Turn, "disc": Disc}
 
 
@@ -95,8 +99,8 @@ class MazeLayout:
 
     def __post_init__(self) -> None:
         """Check the ranges and the order of segments."""
-        object.__setattr__(self, "segments", tuple(self.segments))
-        object.__setattr__(self, "start", tuple(self.start))
+        object.__setattr__(self, "segments", _as_tuple("segments", self.segments, "Straight, Turn and Disc"))
+        object.__setattr__(self, "start", _as_tuple("start", self.start, "x and y [m]"))
         _require_range("width", self.width, 0.03, 0.2, "m")
         _require_range("friction", self.friction, 0.0, 1.0, "")
         _require_range("height", self.height, 0.0, 0.2, "m")
@@ -146,12 +150,13 @@ class MazeLayout:
         Raises:
             ValueError: if the text is not JSON, a name is unknown or missing, or a number is out of range.
         """
+        require_instance("text", text, str)
         try:
             data = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"the layout is not valid JSON: {error}.") from error
+        except (json.JSONDecodeError, RecursionError) as error:
+            raise ValueError(f"the layout is not valid JSON: {error}; expected {_FORM}.") from error
         if not isinstance(data, Mapping) or not isinstance(data.get("segments"), Sequence):
-            raise ValueError("the layout has no list of segments; expected {'segments': [{'kind': 'straight', ...}]}.")
+            raise ValueError(f"the layout has no list of segments; expected {_FORM}.")
         segments = tuple(_segment(part) for part in data["segments"])
         return _construct(cls, {**data, "segments": segments})
 
@@ -166,9 +171,19 @@ class MazeLayout:
             The layout.
 
         Raises:
-            ValueError: as for :meth:`from_json`.
+            ValueError: if the file cannot be read as text, and as for :meth:`from_json`.
         """
-        return cls.from_json(Path(path).read_text())
+        require_instance("path", path, str, Path)
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, ValueError) as error:
+            raise ValueError(
+                f"{path} cannot be read ({error}); expected a JSON file with the layout of a maze."
+            ) from error
+        try:
+            return cls.from_json(text)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
 
 
 def paper_layout() -> MazeLayout:
@@ -203,12 +218,20 @@ def _construct(kind: type[Any], data: Mapping[str, Any]) -> Any:
     unknown = sorted(set(data) - set(known))
     if unknown:
         raise ValueError(f"{kind.__name__} has no attribute {', '.join(unknown)}; expected names from {known}.")
-    try:
-        return kind(**data)
-    except TypeError as error:
-        raise ValueError(f"{kind.__name__} from {dict(data)}: {error}.") from error
+    needed = [field.name for field in fields(kind) if field.default is MISSING]
+    missing = [name for name in needed if name not in data]
+    if missing:
+        raise ValueError(f"{kind.__name__} has no {', '.join(missing)}; expected at least {needed}.")
+    return kind(**data)
+
+
+def _as_tuple(name: str, values: Any, expected: str) -> tuple[Any, ...]:
+    if not isinstance(values, Iterable):
+        raise ValueError(f"{name} is {shown(values)}; expected {expected}.")
+    return tuple(values)
 
 
 def _require_range(name: str, value: float, low: float, high: float, unit: str) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise ValueError(f"{name} is {value}; expected a number from {low:.4g} to {high:.4g} {unit}".rstrip() + ".")
+        expected = f"a number from {low:.4g} to {high:.4g} {unit}".rstrip()
+        raise ValueError(f"{name} is {shown(value)}; expected {expected}.")

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from ppt_rl.envs.limits import require_weights
+from ppt_rl.functional.checks import require_positive
+
 __all__ = ["MazeRewards", "arrival", "contact", "failure", "free_space", "progress"]
 
 
@@ -23,6 +26,9 @@ class MazeRewards:
         jolt: penalty rate at an acceleration of 1 m/s^2 [1/s].
         failure: penalty where the tool leaves the corridor or the force is unsafe [1].
         power: penalty on measured work in either direction [1/J].
+
+    Raises:
+        ValueError: if a weight is no finite number, or ``cruise`` or ``force_scale`` is not positive.
     """
 
     progress: float = 1.0
@@ -34,6 +40,12 @@ class MazeRewards:
     jolt: float = 5.0
     failure: float = 2.0
     power: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        require_weights(self)
+        require_positive("MazeRewards.cruise", self.cruise, "m/s")
+        require_positive("MazeRewards.force_scale", self.force_scale, "N")
 
 
 def progress(weights: MazeRewards, *, travelled: Tensor, previous: Tensor, length: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from ppt_rl.envs.limits import Bound, require_bounded_ranges
 from ppt_rl.envs.maze.feasibility import check_corridor
 from ppt_rl.envs.maze.geometry import build_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Segment, Straight, Turn
+from ppt_rl.functional.argument_checks import require_instance
 
 __all__ = ["MazeRanges", "StraightRanges", "random_maze", "random_straight"]
 
@@ -101,9 +102,12 @@ def random_straight(rng: np.random.Generator, ranges: StraightRanges | None = No
         A layout that passes :func:`~ppt_rl.envs.maze.feasibility.check_corridor`.
 
     Raises:
-        ValueError: if nothing within the ranges fits into the arm's reach.
+        ValueError: if an argument is of another type, or nothing within the ranges fits into the arm's reach.
     """
     ranges = StraightRanges() if ranges is None else ranges
+    require_instance("rng", rng, np.random.Generator)
+    require_instance("ranges", ranges, StraightRanges)
+    require_instance("arm", arm, Arm)
     return _first_feasible(lambda: _draw_straight(rng, ranges), arm, ranges)
 
 
@@ -119,9 +123,12 @@ def random_maze(rng: np.random.Generator, ranges: MazeRanges | None = None, arm:
         A layout that passes :func:`~ppt_rl.envs.maze.feasibility.check_corridor`.
 
     Raises:
-        ValueError: if nothing within the ranges fits into the arm's reach.
+        ValueError: if an argument is of another type, or nothing within the ranges fits into the arm's reach.
     """
     ranges = MazeRanges() if ranges is None else ranges
+    require_instance("rng", rng, np.random.Generator)
+    require_instance("ranges", ranges, MazeRanges)
+    require_instance("arm", arm, Arm)
     return _first_feasible(lambda: _draw_maze(rng, ranges), arm, ranges)
 
 

@@ -14,6 +14,7 @@ from ppt_rl.envs.maze.layout import MazeLayout
 from ppt_rl.envs.maze.sampling import MazeRanges, StraightRanges, random_maze, random_straight
 from ppt_rl.envs.maze.scene import check_pieces
 from ppt_rl.envs.maze.start import check_start
+from ppt_rl.functional.argument_checks import require_instance
 
 __all__ = ["GivenMazes", "RandomMazes", "RandomStraights", "Source"]
 
@@ -33,6 +34,12 @@ class RandomStraights:
     ranges: StraightRanges | None
     arm: Arm
 
+    def __post_init__(self) -> None:
+        """Check the types."""
+        if self.ranges is not None:
+            require_instance("ranges", self.ranges, StraightRanges)
+        require_instance("arm", self.arm, Arm)
+
     def __call__(self, rng: np.random.Generator) -> MazeLayout:
         """Draw a corridor."""
         return random_straight(rng, self.ranges, self.arm)
@@ -50,6 +57,12 @@ class RandomMazes:
     ranges: MazeRanges | None
     arm: Arm
 
+    def __post_init__(self) -> None:
+        """Check the types."""
+        if self.ranges is not None:
+            require_instance("ranges", self.ranges, MazeRanges)
+        require_instance("arm", self.arm, Arm)
+
     def __call__(self, rng: np.random.Generator) -> MazeLayout:
         """Draw a maze."""
         return random_maze(rng, self.ranges, self.arm)
@@ -63,13 +76,16 @@ class GivenMazes:
         arm: the arm, which must reach them.
 
     Raises:
-        ValueError: if there is no layout, or one cannot be driven through.
+        ValueError: if there is no layout, or one is of another type or cannot be driven through.
     """
 
     def __init__(self, layouts: Sequence[MazeLayout], arm: Arm) -> None:
+        require_instance("layouts", layouts, Sequence)
+        require_instance("arm", arm, Arm)
         if not layouts:
             raise ValueError("layouts is empty; expected at least one MazeLayout.")
-        for layout in layouts:
+        for index, layout in enumerate(layouts):
+            require_instance(f"layouts[{index}]", layout, MazeLayout)
             corridor = build_corridor(layout)
             check_corridor(corridor, layout, arm.reach)
             check_pieces(corridor)

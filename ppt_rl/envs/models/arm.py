@@ -8,6 +8,8 @@ from typing import Any
 
 from ppt_rl.arms import Arm
 from ppt_rl.envs.mujoco_imports import mjcf
+from ppt_rl.functional.argument_checks import require_numbers
+from ppt_rl.functional.checks import require_positive
 
 __all__ = ["CYLINDER", "PADDLE", "Tool", "arm_model", "attach_tool", "remove_visual_geoms"]
 
@@ -24,11 +26,23 @@ class Tool:
         length: distance from the flange to the end-effector point, the centre of the bar or of the stem's end [m].
         stem_radius: radius of the stem [m].
         bar: size of the bar along the tool's x, y and z axes [m]; None for a stem alone.
+
+    Raises:
+        ValueError: if a size is not positive, or the bar has not three of them.
     """
 
     length: float
     stem_radius: float
     bar: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the sizes."""
+        require_positive("Tool.length", self.length, "m")
+        require_positive("Tool.stem_radius", self.stem_radius, "m")
+        if self.bar is not None:
+            require_numbers("Tool.bar", self.bar, (3,), unit="m")
+            for side in self.bar:
+                require_positive("a side of Tool.bar", side, "m")
 
     @property
     def half_extent(self) -> tuple[float, float, float]:

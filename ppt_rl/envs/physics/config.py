@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ppt_rl.envs.limits import require_count, require_within
+from ppt_rl.functional.argument_checks import require_instance, require_number
 from ppt_rl.functional.checks import require_positive
 
 __all__ = ["EngineConfig"]
@@ -21,7 +22,7 @@ class EngineConfig:
         audit: whether power and work are measured at the rate of the physics (:mod:`ppt_rl.envs.audit`).
 
     Raises:
-        ValueError: if a number is out of range.
+        ValueError: if a number is out of range, or ``audit`` is no truth value.
     """
 
     physics_dt: float = 0.0005
@@ -33,8 +34,8 @@ class EngineConfig:
         require_positive("physics_dt", self.physics_dt, "s")
         require_within("physics_dt", self.physics_dt, (1e-5, 0.02, "s"))
         if self.num_threads is not None:
-            if self.num_threads < 1:
-                raise ValueError(
-                    f"num_threads is {self.num_threads}; expected at least 1, or None for one for each CPU."
-                )
+            expected = "at least 1, or None for one for each CPU"
+            if require_number("num_threads", self.num_threads, expected) < 1:
+                raise ValueError(f"num_threads is {self.num_threads}; expected {expected}.")
             require_count("num_threads", self.num_threads, 1024)
+        require_instance("audit", self.audit, bool)

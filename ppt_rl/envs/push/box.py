@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ppt_rl.envs.limits import Bound, require_within
+from ppt_rl.functional.argument_checks import shown
 
 __all__ = ["NOMINAL_MASSES", "Boxes"]
 
@@ -42,6 +43,8 @@ class Boxes:
         Raises:
             ValueError: if there is no box, a number is out of range, or a mass is missing.
         """
+        if not isinstance(sizes, Sequence) or isinstance(sizes, str):
+            raise ValueError(f"box_sizes is {shown(sizes)}; expected a sequence of one edge length or more [m].")
         if not sizes:
             raise ValueError("box_sizes is empty; expected one edge length or more [m].")
         for size in sizes:

@@ -20,6 +20,7 @@ from ppt_rl.envs.push.scene import PUSH_BOX, push_scene
 from ppt_rl.envs.readings import sensor_span
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
+from ppt_rl.functional.argument_checks import require_instance, require_number
 
 __all__ = ["PushEnv"]
 
@@ -81,12 +82,14 @@ class PushEnv(ArmEnv):
         success_radius: float = 0.02,
         **kwargs: Any,
     ) -> None:
-        if not success_radius > 0:
+        if require_number("success_radius", success_radius, "a number from 0 to 1 m") <= 0:
             raise ValueError(f"success_radius is {success_radius}; expected a distance above 0 m.")
         require_within("success_radius", success_radius, (0.0, 1.0, "m"))
         self.boxes = Boxes.of(box_sizes, box_masses)
         self.randomisation = PushRandomisation() if randomisation is None else randomisation
         self.rewards = PushRewards() if rewards is None else rewards
+        require_instance("randomisation", self.randomisation, PushRandomisation)
+        require_instance("rewards", self.rewards, PushRewards)
         self.success_radius = float(success_radius)
         check_start(self.boxes, self.randomisation, self.tool.half_extent, self.start_pose[2])
         super().__init__(num_envs, **kwargs)

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ppt_rl.envs.limits import require_weights
+from ppt_rl.functional.argument_checks import require_in_range
+
 __all__ = ["PushRewards", "arrival", "contact", "free_space", "progress"]
 
 
@@ -22,6 +25,9 @@ class PushRewards:
         contact: penalty on contact force above ``force_limit`` [1/(N s)].
         force_limit: contact force that costs nothing [N].
         power: penalty on measured work in either direction [1/J].
+
+    Raises:
+        ValueError: if a weight is no finite number, or the limit is negative.
     """
 
     progress: float = 1.0
@@ -31,6 +37,11 @@ class PushRewards:
     contact: float = 0.2
     force_limit: float = 5.0
     power: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        require_weights(self)
+        require_in_range("PushRewards.force_limit", self.force_limit, 0.0, unit="N")
 
 
 def progress(weights: PushRewards, *, distance: Tensor, previous: Tensor, initial: Tensor) -> Tensor:
