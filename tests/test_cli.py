@@ -97,12 +97,12 @@ def test_a_place_that_cannot_be_written_to_is_refused_before_the_work(tmp_path, 
     for name in ("evaluate", "calibrate", "run_sweep", "drawing.film"):
         monkeypatch.setattr(f"ppt_rl.evaluation.{name}", never)
     (tmp_path / "file").touch()
-    with pytest.raises(OSError, match=reason):
+    with pytest.raises(ValueError, match=rf"where nothing can be written \({reason}\); expected a folder"):
         options(tmp_path).run()
 
 
 def test_a_film_needs_a_file_and_not_a_directory(tmp_path):
-    with pytest.raises(ValueError, match=r"--output is the directory .*; expected the path of a video \(\.mp4\) in it"):
+    with pytest.raises(ValueError, match=r"output is .*; expected the path of a file that ends in \.mp4"):
         Film("s_push", output=tmp_path).run()
 
 
@@ -110,7 +110,9 @@ def test_an_error_of_the_system_ends_with_one_line_of_advice(tmp_path):
     (tmp_path / "file").touch()
     run = command("evaluate", "s_push", "--report", "file", cwd=tmp_path)
     assert run.returncode == 2
-    assert run.stderr.splitlines()[-1].startswith("ppt-rl: error: file cannot be read or written: file exists; check")
+    assert run.stderr.splitlines()[-1].startswith(
+        "ppt-rl: error: report is file, where nothing can be written (File exists); expected"
+    )
     assert "Traceback" not in run.stderr
 
 

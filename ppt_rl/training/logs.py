@@ -8,7 +8,6 @@ import os
 import platform
 import re
 import sys
-import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib.metadata import version
@@ -25,7 +24,6 @@ __all__ = [
     "RunLogs",
     "read_scalar",
     "remove_drafts",
-    "require_writable",
     "save_config",
     "saved_config",
     "versions",
@@ -193,23 +191,6 @@ def write_bytes_atomically(path: Path, data: bytes) -> None:
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
-
-
-def require_writable(directory: Path) -> None:
-    """Create a directory and a nameless file in it, so that long work does not end with a file that cannot be written.
-
-    Args:
-        directory: the directory.
-
-    Raises:
-        OSError: if it cannot be created or written to.
-    """
-    directory.mkdir(parents=True, exist_ok=True)
-    try:
-        with tempfile.TemporaryFile(dir=directory) as trial:
-            trial.write(b"\0")
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(directory)) from error
 
 
 def remove_drafts(path: Path) -> None:

@@ -11,7 +11,6 @@ from ppt_rl.training.logs import (
     RunLogs,
     read_scalar,
     remove_drafts,
-    require_writable,
     saved_config,
     write_bytes_atomically,
 )
@@ -116,16 +115,3 @@ def test_drafts_of_killed_processes_are_removed_and_nothing_else(tmp_path):
         (tmp_path / name).touch()
     remove_drafts(tmp_path / "a.json")
     assert sorted(path.name for path in tmp_path.iterdir()) == [".a.json", ".a.json.backup", ".b.json.123", "a.json"]
-
-
-def test_a_directory_is_tried_without_leaving_a_file(tmp_path):
-    require_writable(tmp_path / "a" / "b")
-    assert not list((tmp_path / "a" / "b").iterdir())
-
-
-def test_a_directory_that_cannot_be_made_is_named(tmp_path):
-    (tmp_path / "file").touch()
-    for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/nowhere")):
-        with pytest.raises(OSError, match=r"File exists|Not a directory|No such file") as caught:
-            require_writable(place)
-        assert str(caught.value.filename).startswith(str(place.parent))
