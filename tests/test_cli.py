@@ -110,9 +110,8 @@ def test_an_error_of_the_system_ends_with_one_line_of_advice(tmp_path):
     (tmp_path / "file").touch()
     run = command("evaluate", "s_push", "--report", "file", cwd=tmp_path)
     assert run.returncode == 2
-    assert run.stderr.splitlines()[-1].startswith(
-        "ppt-rl: error: report is file, where nothing can be written (File exists); expected"
-    )
+    last = run.stderr.splitlines()[-1]
+    assert last.startswith("ppt-rl: error: report is file, where nothing can be written (File exists); expected")
     assert "Traceback" not in run.stderr
 
 

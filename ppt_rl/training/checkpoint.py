@@ -197,8 +197,8 @@ def checkpoint_info(path: Path, variant: str | None = None) -> dict[str, Any]:
         broken = _broken_member(path)
     except _UNREADABLE as error:
         raise CheckpointMismatch(
-            f"{path} cannot be read as a checkpoint ({in_one_line(error)}); it may be truncated. Use another checkpoint "
-            "of the run."
+            f"{path} cannot be read as a checkpoint ({in_one_line(error)}); it may be truncated. Use another "
+            "checkpoint of the run."
         ) from error
     if broken is not None:
         raise CheckpointMismatch(f"{path} is damaged in {broken}; use another checkpoint of the run.")

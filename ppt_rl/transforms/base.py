@@ -127,13 +127,21 @@ class StatefulTransform(Transform):
             parent.__dict__[_MEMORY] = memory_of(parent, self._token, keys)
         return parent.__dict__[_MEMORY]
 
-    def _remember(self, tensordict: TensorDictBase) -> None:
-        """Keep state and readings; copies of them, if nobody else may change them in place."""
+    def _remember(self, tensordict: TensorDictBase, resetting: TensorDictBase | None = None) -> None:
+        """Keep state and readings; copies of them, if nobody else may change them in place.
+
+        After a reset, given the root with its signals, environments that did not reset keep what they had: what a base
+        environment returns for them may be anything.
+        """
         memory = self._memory()
-        if memory is not None:
-            for key in memory.keys:
-                value = tensordict.get(key, None)
-                memory.entries[key] = value.clone() if self._keeps_copies and value is not None else value
+        if memory is None:
+            return
+        for key in memory.keys:
+            value = tensordict.get(key, None)
+            if value is not None and resetting is not None:
+                rows = self._reset_mask(resetting, key)
+                value = value if rows is None else merged(rows, value, memory.entries.get(key))
+            memory.entries[key] = value.clone() if self._keeps_copies and value is not None else value
 
     def _remembered(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor | None:
         """An entry as the environment's side remembers it, if it does."""
@@ -163,7 +171,7 @@ class StatefulTransform(Transform):
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         self._check_place()
         tensordict_reset = self._after_reset(tensordict, tensordict_reset)
-        self._remember(tensordict_reset)
+        self._remember(tensordict_reset, resetting=tensordict)
         return tensordict_reset
 
     def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:

@@ -75,7 +75,7 @@ SLIPS = {
     "success anywhere": (lambda: PushEnv(success_radius=INF), "success_radius is inf; expected a number from 0 to 1 m"),
     "friction without end": (
         lambda: PushRandomisation(friction=(0.2, INF)),
-        r"PushRandomisation.friction is \(0.2, inf\); expected",
+        r"PushRandomisation.friction is \(0.2, inf\); expected a pair",
     ),
     "a goal on the moon": (lambda: PushRandomisation(goal_x=(0.6, 4e8)), "PushRandomisation.goal_x .* from -2 to 2 m"),
     "a goal nowhere": (
@@ -88,11 +88,14 @@ SLIPS = {
     ),
     "a start far away": (
         lambda: MazeRandomisation(along=(0.03, INF)),
-        "MazeRandomisation.along is .0.03, inf.; expected",
+        r"MazeRandomisation.along is \(.*inf\); expected",
     ),
-    "a corridor without end": (lambda: StraightRanges(length=(0.2, INF)), "StraightRanges.length is .* inf.; expected"),
-    "a corridor nowhere": (lambda: StraightRanges(x=(-INF, 0.5)), "StraightRanges.x is ..inf, 0.5.; expected"),
-    "a maze without end": (lambda: MazeRanges(length=(0.9, INF)), "MazeRanges.length is .* inf.; expected"),
+    "a corridor without end": (
+        lambda: StraightRanges(length=(0.2, INF)),
+        r"StraightRanges.length is \(.*inf\); expected",
+    ),
+    "a corridor nowhere": (lambda: StraightRanges(x=(-INF, 0.5)), r"StraightRanges.x is \(-inf.*\); expected"),
+    "a maze without end": (lambda: MazeRanges(length=(0.9, INF)), r"MazeRanges.length is \(.*inf\); expected"),
     "no maze": (lambda: MazeRanges(width=(NAN, 0.06)), "MazeRanges.width is .*; expected low <= high"),
     "a billion turns": (lambda: MazeRanges(turns=(3, 10**9)), "MazeRanges.turns .* is 1000000000; expected .* to 20"),
     "half a disc": (lambda: MazeRanges(discs=(0.5, 1.5)), r"MazeRanges.discs is \(0.5, 1.5\); expected whole numbers"),
