@@ -72,7 +72,10 @@ SLIPS = {
         lambda: PushEnv(box_sizes=(0.2,), box_masses=(0.2,)),
         "a box of 0.2 m may begin inside the tool: randomisation.box_x begins at 0.43 m; expected at least 0.488 m",
     ),
-    "success anywhere": (lambda: PushEnv(success_radius=INF), "success_radius is inf; expected a number from 0 to 1 m"),
+    "success anywhere": (
+        lambda: PushEnv(success_radius=INF),
+        "success_radius is inf; expected a distance above 0 m, at most 1 m",
+    ),
     "friction without end": (
         lambda: PushRandomisation(friction=(0.2, INF)),
         r"PushRandomisation.friction is \(0.2, inf\); expected a pair",

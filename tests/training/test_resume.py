@@ -53,7 +53,7 @@ def test_a_run_killed_before_its_first_checkpoint_keeps_its_options(run_dir):
     assert options("--run-dir", run_dir, "--resume").seed == 4
 
 
-@pytest.mark.parametrize("content", [None, "", "{", '{"config": {"num_envs": 1e9}}'])
+@pytest.mark.parametrize("content", [None, "", "{", '{"config": {"speed": 4}}', '{"config": {"num_envs": 1e9}}'])
 def test_without_a_readable_configuration_the_options_are_those_of_the_checkpoint(run_dir, content, capsys):
     (run_dir / "config.json").unlink()
     if content is not None:

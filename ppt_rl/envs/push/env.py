@@ -11,7 +11,6 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from ppt_rl.envs.arm import ArmEnv, Rows
-from ppt_rl.envs.limits import require_within
 from ppt_rl.envs.push import rewards as reward
 from ppt_rl.envs.push.box import Boxes
 from ppt_rl.envs.push.episode import PushDistances, PushEpisodes, PushRandomisation, check_start, draw_episodes
@@ -82,9 +81,9 @@ class PushEnv(ArmEnv):
         success_radius: float = 0.02,
         **kwargs: Any,
     ) -> None:
-        if require_number("success_radius", success_radius, "a number from 0 to 1 m") <= 0:
-            raise ValueError(f"success_radius is {success_radius}; expected a distance above 0 m.")
-        require_within("success_radius", success_radius, (0.0, 1.0, "m"))
+        expected = "a distance above 0 m, at most 1 m"
+        if not 0 < require_number("success_radius", success_radius, expected) <= 1:
+            raise ValueError(f"success_radius is {success_radius}; expected {expected}.")
         self.boxes = Boxes.of(box_sizes, box_masses)
         self.randomisation = PushRandomisation() if randomisation is None else randomisation
         self.rewards = PushRewards() if rewards is None else rewards

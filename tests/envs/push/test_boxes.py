@@ -9,6 +9,7 @@ import torch
 from ppt_rl.envs import PushEnv, PushRandomisation
 from ppt_rl.envs.push.box import Boxes
 from ppt_rl.envs.push.episode import draw_episodes
+from ppt_rl.envs.row_generators import RowGenerators
 from tests.engines import COARSE
 
 LARGE = {"box_sizes": (0.10,), "box_masses": (0.2,)}
@@ -42,7 +43,7 @@ def test_the_via_points_touch_the_box_that_was_drawn():
 
 def test_each_size_has_the_mass_that_was_given_for_it():
     boxes = Boxes.of((0.05, 0.1, 0.05), (0.1, 0.4, 0.2))
-    drawn = draw_episodes(np.random.default_rng(0), 400, PushRandomisation(mass=(1.0, 1.0)), boxes)
+    drawn = draw_episodes(RowGenerators(0, 400), np.arange(400), PushRandomisation(mass=(1.0, 1.0)), boxes)
     assert set(zip(drawn["size"].tolist(), drawn["mass"].tolist(), strict=True)) == {
         (0.05, 0.1),
         (0.1, 0.4),
