@@ -28,7 +28,7 @@ def pushed(promp, *, steps=0, tank=None, posture=True, **changes) -> tuple[recip
     """Eight audited episodes of PPT's own chain without a residual, or their first ``steps`` control steps."""
     config = recipe.Config(num_threads=1, duration=3.0, physics_dt=0.001, replan_steps=steps, **changes)
     with pytest.MonkeyPatch.context() as patch:
-        # The accounting is that of the paper's tank; the one at the motors would throttle what a wrong one lets through.
+        # The accounting is that of the paper's tank; the one at the motors would stop what a wrong one lets through.
         patch.setattr(recipe, "motor_tank", lambda p_max, e_max: motor_tank(1e6, 1e6))
         if tank is not None:
             patch.setattr(recipe, "EnergyTankTransform", tank)
@@ -113,8 +113,8 @@ class BlindTank(EnergyTankTransform):
 class LateTank(EnergyTankTransform):
     """Its flow is five control steps old."""
 
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
         self.seen = []
 
     def _flow(self, tensordict, effort):
