@@ -14,6 +14,7 @@ from ppt_rl.functional.argument_checks import require_number, shown
 
 __all__ = [
     "Bounds",
+    "all_at_most",
     "are_finite",
     "require_all",
     "require_at_most",
@@ -95,6 +96,21 @@ def require_bounds(options: Any, bounds: Mapping[str, Bounds]) -> None:
                 raise ValueError(f"{name} is {entry!r}; expected {limits}.")
             if isinstance(entry, Real) and not isinstance(entry, Integral) and not math.isfinite(entry):
                 raise ValueError(f"{name} is {entry}; expected a finite number.")
+
+
+def all_at_most(value: Tensor, most: float) -> bool:
+    """Whether every entry of a tensor on the CPU is known to be at most a number.
+
+    Args:
+        value: any tensor with at least one entry.
+        most: the number.
+
+    Returns:
+        False where an entry is larger or NaN, or where nothing is known: the tensor is elsewhere, or being traced.
+    """
+    return (
+        not _is_traced() and value.device.type == "cpu" and value.numel() > 0 and float(value.detach().amax()) <= most
+    )
 
 
 def require_all(condition: Tensor, message: str) -> None:

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ppt_rl.functional.checks import all_at_most
+
 __all__ = ["EffortBounds", "scale_change", "scale_into"]
 
 
@@ -40,7 +42,7 @@ class EffortBounds(NamedTuple):
         return cls(low, high, low.clamp_max(-tiny).reciprocal(), high.clamp_min(tiny).reciprocal())
 
 
-def scale_into(effort: Tensor, bounds: EffortBounds) -> tuple[Tensor, Tensor]:
+def scale_into(effort: Tensor, bounds: EffortBounds) -> tuple[Tensor, Tensor | None]:
     r"""Scale a whole effort into a box around zero, so that it keeps its direction.
 
     .. math:: \tau' = s\,\tau, \qquad
@@ -54,10 +56,13 @@ def scale_into(effort: Tensor, bounds: EffortBounds) -> tuple[Tensor, Tensor]:
         bounds: the box, with lower bounds l and upper bounds h.
 
     Returns:
-        ``(*B, N)`` scaled effort, within the bounds to the last digit, and ``(*B, 1)`` factor s in [0, 1].
+        ``(*B, N)`` scaled effort, within the bounds to the last digit, and ``(*B, 1)`` factor s in [0, 1]; None where
+        it is known to be 1 everywhere.
     """
-    share = torch.maximum(effort * bounds.inverse_high, effort * bounds.inverse_low).amax(-1, keepdim=True)
-    factor = share.clamp_min(1.0).reciprocal()
+    share = torch.maximum(effort * bounds.inverse_high, effort * bounds.inverse_low)
+    if all_at_most(share, 1.0 - 2 * torch.finfo(effort.dtype).eps):  # the usual case
+        return effort, None
+    factor = share.amax(-1, keepdim=True).clamp_min(1.0).reciprocal()
     return torch.minimum(torch.maximum(factor * effort, bounds.low), bounds.high), factor
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
+
 import torch
 from torch import Tensor
 
@@ -45,13 +47,10 @@ def require_same_batch(**values: Tensor) -> None:
         first = batch or first
     else:  # equal, or without a batch: the usual case, decided without calling torch
         return
-    try:
-        torch.broadcast_shapes(*(value.shape[:-1] for value in values.values()))
-    except RuntimeError as error:
+    dims = zip_longest(*(reversed(value.shape[:-1]) for value in values.values()), fillvalue=1)
+    if any(len({size for size in sizes if size != 1}) > 1 for sizes in dims):
         shapes = ", ".join(f"{name} {tuple(value.shape)}" for name, value in values.items())
-        raise ValueError(
-            f"the shapes are {shapes}; expected leading dimensions (*batch) that are equal or broadcast."
-        ) from error
+        raise ValueError(f"the shapes are {shapes}; expected leading dimensions (*batch) that are equal or broadcast.")
 
 
 def require_bool(name: str, value: Tensor) -> None:

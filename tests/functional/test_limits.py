@@ -16,6 +16,7 @@ def test_a_scaled_effort_is_within_its_bounds_and_along_the_effort(effort):
     tau = torch.tensor(effort)
     scaled, factor = scale_into(tau, BOX)
     assert ((scaled >= LOW) & (scaled <= HIGH)).all()
+    factor = torch.ones(1) if factor is None else factor
     assert 0.0 <= factor <= 1.0
     torch.testing.assert_close(scaled, factor * tau, rtol=1e-6, atol=1e-30)
 
