@@ -87,7 +87,7 @@ def test_a_mistake_ends_with_one_line_of_advice(tmp_path, args, message):
         (lambda place: CalibrateTank("s_push", report=place / "file"), "File exists"),
         (lambda place: Sweep(("s_push",), report=place / "file"), "File exists"),
         (lambda place: Film("s_push", output=place / "file" / "a.mp4"), "File exists"),
-        (lambda place: Evaluate("s_push", report=Path("/proc/report")), "No such file"),
+        (lambda place: Evaluate("s_push", report=Path("/proc/report")), "No such file or directory"),
     ],
 )
 def test_a_place_that_cannot_be_written_to_is_refused_before_the_work(tmp_path, monkeypatch, options, reason):
