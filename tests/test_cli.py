@@ -62,14 +62,31 @@ def test_help_of_a_training_shows_the_options_of_its_recipe(tmp_path, variant):
         (("train", "nothing"), "recipe 'nothing' is unknown; expected one of"),
         (("evaluate", "nothing"), "nothing does not exist; expected a checkpoint or a run's directory"),
         (("evaluate", "ppt_push", "--set", "p_max"), "expected NAME=VALUE"),
-        (("evaluate", "ppt_push", "--set", "pmax=1"), "option 'pmax' is unknown; expected one of"),
-        (("evaluate", "ppt_push", "--set", "p_max=much"), "option p_max is 'much'; expected float"),
-        (("evaluate", "ppt_push", "--set", "arm=octopus"), "octopus"),
-        (("evaluate", "pp_push", "--set", "e_max=1"), "option 'e_max' is unknown"),
-        (("evaluate", "ppt_push", "--episodes", "0"), "episodes is 0; expected a whole number from 1 to"),
-        (("study", "push", "ppt_maze"), "expected recipes of one task"),
-        (("sweep", "ppt_push"), "expected policies of one task that has a sweep"),
-        (("calibrate-tank", "ppt_push", "--quantile", "2"), "quantile is 2.0; expected a share"),
+        # tests/bad_inputs has these in one process, which is quicker
+        pytest.param(
+            ("evaluate", "ppt_push", "--set", "pmax=1"),
+            "option 'pmax' is unknown; expected one of",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            ("evaluate", "ppt_push", "--set", "p_max=much"),
+            "option p_max is 'much'; expected float",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(("evaluate", "ppt_push", "--set", "arm=octopus"), "octopus", marks=pytest.mark.slow),
+        pytest.param(("evaluate", "pp_push", "--set", "e_max=1"), "option 'e_max' is unknown", marks=pytest.mark.slow),
+        pytest.param(
+            ("evaluate", "ppt_push", "--episodes", "0"),
+            "episodes is 0; expected a whole number from 1 to",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(("study", "push", "ppt_maze"), "expected recipes of one task", marks=pytest.mark.slow),
+        pytest.param(("sweep", "ppt_push"), "expected policies of one task that has a sweep", marks=pytest.mark.slow),
+        pytest.param(
+            ("calibrate-tank", "ppt_push", "--quantile", "2"),
+            "quantile is 2.0; expected a share",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_a_mistake_ends_with_one_line_of_advice(tmp_path, args, message):

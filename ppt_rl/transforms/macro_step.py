@@ -223,7 +223,8 @@ class MacroStepTransform(ActionTransform):
 
     def _check_place(self) -> None:
         super()._check_place()
-        available = list(self.parent.full_observation_spec.keys(True, True))
+        parent = self.parent
+        available = [*parent.full_observation_spec.keys(True, True), *parent.full_done_spec.keys(True, True)]
         if "control_steps" in available:
             raise ValueError("the environment has a MacroStepTransform already; expected one. Leave the other out.")
         wanted = [*self.trace_keys, *([] if self.interrupt_key is None else [self.interrupt_key])]
