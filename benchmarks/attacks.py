@@ -64,8 +64,11 @@ def _perpendicular(read: dict[str, Tensor], generator: torch.Generator) -> Tenso
 
 
 def _huge(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
-    """Ten billion newtons at right angles to the twist: the power drowns in rounding."""
-    return 1e7 * _perpendicular(read, generator)
+    """Ten billion newton metres straight at the tank, without power: what is left of it drowns in rounding."""
+    velocity = read["joint_velocity"]
+    torque = 1e10 * _normal(read, velocity.shape[-1], generator)
+    along = (torque * velocity).sum(-1, keepdim=True) / velocity.square().sum(-1, keepdim=True).clamp_min(1e-12)
+    return torque - velocity * along
 
 
 def _random(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
@@ -104,7 +107,7 @@ ATTACKS: dict[str, tuple[Policy, Callable[[PandaEnv], list[Transform]]]] = {
     "random": (_random, _wrench),
     "perpendicular": (_perpendicular, _wrench),
     "bang-bang": (_bang_bang, lambda base: []),
-    "1e10 N": (_huge, _wrench),
+    "1e10 N m": (_huge, lambda base: []),
     "posture 1000 N m/rad": (_posture, lambda base: _reference(base, posture_stiffness=1000.0)),
     "reference 1e6 m away": (_residual, lambda base: _reference(base, stiffness=1e5)),
 }

@@ -46,7 +46,7 @@ def test_an_attack_gets_no_more_executed_than_the_tank_allows(name):
     assert result["work"] <= 1 + 1e-5
 
 
-@pytest.mark.parametrize("name", sorted(set(attacks.ATTACKS) - {"1e10 N", "perpendicular"}))
+@pytest.mark.parametrize("name", sorted(set(attacks.ATTACKS) - {"1e10 N m", "perpendicular"}))
 def test_the_same_attack_without_the_tank_exceeds_its_limits(name, monkeypatch):
     monkeypatch.setattr(attacks, "motor_tank", lambda p_max, e_max: motor_tank(1e9, 1e9))
     result = attacks.attack(name, attacks.Config(steps=800, num_envs=16, threads=1, p_max=1.0, e_max=0.4))
