@@ -3,8 +3,8 @@
 Both robots have two joints. An action of 1 is ``gear`` newton metres, so limits in watts and joules are divided by it.
 
 A minute of training is short. Mean returns of 80 episodes before and after it (seed 0): -12.7 and -8.8 on Gymnasium's
-``Reacher-v5``, where random residuals get -12.5. On dm_control's ``reacher-easy`` they are 1.3 and 3.7, but random residuals
-get 5.1: its reward is sparse, and a minute is not enough.
+``Reacher-v5``, where random residuals get -12.5. On dm_control's ``reacher-easy`` they are 1.3 and 3.7, but random
+residuals get 5.1: its reward is sparse, and a minute is not enough.
 """
 
 from __future__ import annotations
