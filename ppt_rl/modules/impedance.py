@@ -119,9 +119,7 @@ class CartesianImpedanceController(nn.Module):
         Raises:
             ValueError: if a last dimension is wrong.
         """
-        for name, value, size in (("pose", pose, 7), ("twist", twist, 6), ("reference_pose", reference_pose, 7)):
-            require_last_dim(name, value, size)
-        require_last_dim("reference_twist", reference_twist, 6)
+        require_last_dim("pose", pose, 7)
         stiffness = self.stiffness.to(pose.dtype) if stiffness is None else stiffness
         damping = self._damping(stiffness).to(pose.dtype) if damping is None else damping
         return cartesian_impedance(pose, twist, reference_pose, reference_twist, stiffness, damping)

@@ -222,7 +222,7 @@ class Kinematics(nn.Module):
         batch = joint_position.shape[:-1]
         frames = self._frames(joint_position.reshape(-1, count).to(self._anchor.dtype))
         jacobian, matrix = self._chain.jacobian_tensor(None, ret_eef_pose=True, all_transforms=frames)
-        return jacobian.reshape(*batch, 6, count), matrix.reshape(*batch, 4, 4)
+        return jacobian.reshape(*batch, 6, count).contiguous(), matrix.reshape(*batch, 4, 4)
 
     def _frames(self, joint_position: Tensor) -> Tensor:
         """``(n + 2, B, 4, 4)`` poses in world of the base, the links and the tool, in this order.
