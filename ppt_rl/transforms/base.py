@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs import Transform
 
-from ppt_rl.transforms.chain import transforms_of
+from ppt_rl.transforms.chain import parent_of, transforms_of
 from ppt_rl.transforms.memory import Memory, memory_of
 from ppt_rl.transforms.specs import set_leaf
 
@@ -55,6 +55,11 @@ class StatefulTransform(Transform):
     def __init__(self, **keys: Any) -> None:
         super().__init__(**keys)
         self._token = uuid4().hex
+
+    @property
+    def parent(self) -> Any:  # TransformedEnv, None outside of an environment
+        """The environment with the transforms before this one."""
+        return parent_of(self)
 
     @property
     def _readings(self) -> tuple[NestedKey, ...]:

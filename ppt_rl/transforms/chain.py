@@ -8,7 +8,7 @@ from typing import Any
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
-__all__ = ["attribute", "base_of", "transforms_after", "transforms_of"]
+__all__ = ["attribute", "base_of", "parent_of", "transforms_after", "transforms_of"]
 
 
 def base_of(env: EnvBase) -> EnvBase:
@@ -53,6 +53,28 @@ def transforms_of(env: EnvBase | None) -> Iterator[Transform]:
     if isinstance(env, TransformedEnv):
         yield from transforms_of(env.base_env)
         yield from _flat(env.transform)
+
+
+def parent_of(transform: Transform) -> TransformedEnv | None:
+    """The environment that a transform acts on: the base environment with copies of all earlier transforms.
+
+    torchrl makes it on demand, and each of these copies would make another one in turn, so the time that specs take
+    would double with every transform. Here a copy shares the parent of its original.
+
+    Args:
+        transform: one that is in an environment, or in none.
+
+    Returns:
+        Its parent; None where there is no environment.
+    """
+    parent: TransformedEnv | None = transform.__dict__.get("_parent")
+    if parent is None:
+        parent = Transform.parent.fget(transform)
+        copies = list(transforms_of(parent))
+        for original, copy in zip(transforms_of(transform.container) if copies else (), copies, strict=False):
+            if copy is not original:
+                copy.__dict__["_parent"] = parent_of(original)
+    return parent
 
 
 def transforms_after(transform: Transform) -> Iterator[Transform]:
