@@ -62,7 +62,7 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
 
 def fit(config: Config, promp: ProMP) -> None:
     """Fit the prior to scripted demonstrations."""
-    fit_push_prior(promp)
+    fit_push_prior(promp, goal=config.goal, counter_turn=config.counter_turn)
 
 
 RECIPE = Recipe("pp_push", "PP", PUSH, Config, make_chain, make_policy, make_modules, fit, has_reference=True)

@@ -15,7 +15,7 @@ from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, ProMP, TaskSpace
 from ppt_rl.tasks import episode_metrics, make_controller, motor_tank
-from ppt_rl.tasks.push import PUSH, PUSH_AXES, EpisodeLevelConfig, fit_push_prior, make_push_policy
+from ppt_rl.tasks.push import PUSH, PUSH_AXES, ByGoal, EpisodeLevelConfig, fit_push_prior, make_push_policy
 from ppt_rl.transforms import (
     EnergyTankTransform,
     EpisodeMetricsTransform,
@@ -32,11 +32,11 @@ class Config(EpisodeLevelConfig):
     """Train PPT (ProMP + PPO + energy tank) on box pushing.
 
     Attributes:
-        e_max: capacity of the tank [J].
+        e_max: capacity of the tank [J]; None takes that of the goal: 1.5 J for a pose, 3 J for a position.
     """
 
     run_dir: Path = Path("runs/ppt_push")
-    e_max: float = 3.0
+    e_max: ByGoal = None  # type: ignore[assignment]
 
 
 def make_modules(config: Config) -> dict[str, ProMP]:
@@ -70,7 +70,7 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
 
 def fit(config: Config, promp: ProMP) -> None:
     """Fit the prior to scripted demonstrations."""
-    fit_push_prior(promp)
+    fit_push_prior(promp, goal=config.goal, counter_turn=config.counter_turn)
 
 
 RECIPE = Recipe(

@@ -15,7 +15,7 @@ from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, TaskSpace
 from ppt_rl.tasks import episode_metrics, make_controller, motor_tank
-from ppt_rl.tasks.push import PUSH, PUSH_AXES, StepWiseConfig, make_push_policy
+from ppt_rl.tasks.push import PUSH, PUSH_AXES, ByGoal, StepWiseConfig, make_push_policy
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     EnergyTankTransform,
@@ -30,11 +30,11 @@ class Config(StepWiseConfig):
     """Train ST (step-wise PPO + energy tank) on box pushing.
 
     Attributes:
-        e_max: capacity of the tank [J].
+        e_max: capacity of the tank [J]; None takes that of the goal: 1.5 J for a pose, 3 J for a position.
     """
 
     run_dir: Path = Path("runs/st_push")
-    e_max: float = 3.0
+    e_max: ByGoal = None  # type: ignore[assignment]
 
 
 def make_chain(config: Config, base: PushEnv) -> list[Transform]:

@@ -17,7 +17,7 @@ from ppt_rl.envs.maze import (
 )
 from ppt_rl.envs.panda import PandaEnv, PandaMazeEnv, PandaPushEnv
 from ppt_rl.envs.physics import EngineConfig
-from ppt_rl.envs.push import PushEnv, PushRandomisation, PushRewards
+from ppt_rl.envs.push import PushEnv, PushGoal, PushRandomisation, PushReference, PushRewards
 
 __all__ = [
     "ArmEnv",
@@ -32,7 +32,9 @@ __all__ = [
     "PandaMazeEnv",
     "PandaPushEnv",
     "PushEnv",
+    "PushGoal",
     "PushRandomisation",
+    "PushReference",
     "PushRewards",
     "Straight",
     "StraightRanges",

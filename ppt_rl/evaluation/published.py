@@ -53,8 +53,9 @@ def published_table() -> str:
     """
     lines = []
     for name, path in published_policies().items():
-        evaluation = pretrained_card(path)["evaluation"]
-        for group, summary in evaluation["summary"][name].items():
+        card = pretrained_card(path)
+        evaluation = card["evaluation"]
+        for group, summary in evaluation["summary"][card["variant"]].items():
             figures = [mean_and_interval(summary[metric]) for metric in COLUMNS]
             lines.append([name, group, str(evaluation["episodes"]), *figures])
     units = [f"{metric} [{column.unit}]" for metric, column in COLUMNS.items()]

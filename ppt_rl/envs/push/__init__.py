@@ -1,7 +1,8 @@
 """Box pushing: scene, episodes, rewards and environment."""
 
-from ppt_rl.envs.push.env import PushEnv
+from ppt_rl.envs.push.env import PushEnv, PushGoal
 from ppt_rl.envs.push.episode import PushRandomisation
+from ppt_rl.envs.push.reference import PushReference
 from ppt_rl.envs.push.rewards import PushRewards
 
-__all__ = ["PushEnv", "PushRandomisation", "PushRewards"]
+__all__ = ["PushEnv", "PushGoal", "PushRandomisation", "PushReference", "PushRewards"]

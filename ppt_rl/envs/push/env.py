@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -11,36 +12,39 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from ppt_rl.envs.arm import ArmEnv, Rows
+from ppt_rl.envs.limits import require_within
 from ppt_rl.envs.push import rewards as reward
 from ppt_rl.envs.push.box import Boxes
 from ppt_rl.envs.push.episode import PushDistances, PushEpisodes, PushRandomisation, check_start, draw_episodes
+from ppt_rl.envs.push.reference import PushReference, push_via_points
 from ppt_rl.envs.push.rewards import PushRewards
 from ppt_rl.envs.push.scene import PUSH_BOX, push_scene
 from ppt_rl.envs.readings import sensor_span
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
-from ppt_rl.functional.argument_checks import require_instance, require_number
+from ppt_rl.functional.argument_checks import require_instance, require_number, shown
 
-__all__ = ["PushEnv"]
+__all__ = ["PushEnv", "PushGoal"]
+
+#: What has to be at the goal: the centre of the box, or its yaw as well.
+PushGoal = Literal["position", "pose"]
 
 #: A box lies flat if the cosine of its tilt is above the first (10 degrees) and its height is off by less than the
 #: second [-], [m].
 _FLAT_COSINE, _FLAT_HEIGHT = 0.985, 0.005
-#: Yaw of the paddle behind the box, as a share of the yaw of the push. The box is roughly aligned with the table, so in
-#: an oblique push a paddle at right angles to the push would hit a corner of the box [-].
-_APPROACH_YAW = 0.7
-#: Distance between paddle and box at the via-point behind the box [m].
-_APPROACH_GAP = 0.02
 
 
 class PushEnv(ArmEnv):
     """Push a box to a goal before the episode ends, and leave it lying flat.
 
     Success is judged at the end of the episode: the centre of the box must be within ``success_radius`` of the goal,
-    and the box must lie flat. The observations are those of :class:`ArmEnv` and
+    and the box must lie flat. With ``goal="pose"`` its yaw must also be within ``success_yaw`` of that of the goal, so
+    it has to be turned on the way. The observations are those of :class:`ArmEnv` and
 
     * ``box_pose`` 7 [m, -]: privileged, for critics; a policy for deployment does not read it;
-    * ``box_start`` 2 [m], ``goal`` 2 [m] and ``box_size`` 1 [m]: known at test time, constant in an episode;
+    * ``box_start`` 2 [m], ``goal`` 2 [m] and ``box_size`` 1 [m]: known at test time, constant in an episode.
+      ``box_start`` differs from the true start by the drawn error;
+    * with ``goal="pose"``, ``goal_yaw`` 1 [rad], known as well, and ``yaw_error`` 1 [rad], privileged;
     * ``via_phase`` 3, ``via_position`` (3, 3), ``via_cov`` (3, 3, 3), ``via_mask`` 3: via-points (x, y, yaw) of a
       reference push: start of the tool, behind the box, and touching the box at the goal;
     * ``progress`` 1 in [0, 1]: share of the distance to the goal that is covered; ``success`` 1 (bool);
@@ -50,12 +54,15 @@ class PushEnv(ArmEnv):
 
     Args:
         num_envs: number of environments.
+        goal: ``"position"``, as in the paper, or ``"pose"``.
         box_sizes: edge lengths of the boxes to draw from [m], 0.03 to 0.2.
         box_masses: mass of each of them [kg], 0.01 to 3; None takes the paper's, which has 0.06 m (50 g) and 0.08 m
             (80 g).
         randomisation: ranges of what is drawn for each episode.
         rewards: weights of the reward terms.
+        reference: shape of the reference push; None takes the defaults.
         success_radius: largest distance from box to goal that counts as success [m].
+        success_yaw: largest difference in yaw that counts as success [rad].
         **kwargs: as for :class:`ArmEnv`.
 
     Raises:
@@ -74,22 +81,31 @@ class PushEnv(ArmEnv):
         self,
         num_envs: int = 1,
         *,
+        goal: PushGoal = "position",
         box_sizes: Sequence[float] = (0.06, 0.08),
         box_masses: Sequence[float] | None = None,
         randomisation: PushRandomisation | None = None,
         rewards: PushRewards | None = None,
+        reference: PushReference | None = None,
         success_radius: float = 0.02,
+        success_yaw: float = 0.2,
         **kwargs: Any,
     ) -> None:
         expected = "a distance above 0 m, at most 1 m"
         if not 0 < require_number("success_radius", success_radius, expected) <= 1:
             raise ValueError(f"success_radius is {success_radius}; expected {expected}.")
+        if goal not in get_args(PushGoal):
+            raise ValueError(f"goal is {shown(goal)}; expected one of {list(get_args(PushGoal))}.")
+        self.goal = goal
         self.boxes = Boxes.of(box_sizes, box_masses)
         self.randomisation = PushRandomisation() if randomisation is None else randomisation
         self.rewards = PushRewards() if rewards is None else rewards
         require_instance("randomisation", self.randomisation, PushRandomisation)
         require_instance("rewards", self.rewards, PushRewards)
+        self.reference = PushReference() if reference is None else reference
+        require_instance("reference", self.reference, PushReference)
         self.success_radius = float(success_radius)
+        self.success_yaw = require_within("success_yaw", success_yaw, (1e-6, 3.2, "rad"))
         check_start(self.boxes, self.randomisation, self.tool.half_extent, self.start_pose[2])
         super().__init__(num_envs, **kwargs)
 
@@ -117,13 +133,19 @@ class PushEnv(ArmEnv):
         return np.concatenate([self._arm_position(pose).numpy(), *box], -1)
 
     def _write_parameters(self, model: Any, row: int) -> None:
-        half, mass, friction = (float(self._episode.physical[key][row]) for key in ("half", "mass", "friction"))
+        physical = self._episode.physical
+        half, mass, friction = (float(physical[key][row]) for key in ("half", "mass", "friction"))
         geom, body = model.geom(PUSH_BOX), model.body(PUSH_BOX)
+        body.ipos[:2] = physical["com"][row]
+        # A flag from compilation says whether frame and centre of mass coincide; if it says so, MuJoCo ignores ipos.
+        model.body_sameframe[body.id] = not physical["com"][row].any()
         geom.size[:] = half
         geom.friction[0] = friction
         body.mass[:] = mass
         body.inertia[:] = mass * (2 * half) ** 2 / 6
-        model.body("goal").pos[:2] = self._episode.goal[row].numpy()
+        mark, half_yaw = model.body("goal"), 0.5 * float(self._episode.goal_yaw[row])
+        mark.pos[:2] = self._episode.goal[row].numpy()
+        mark.quat[:] = np.cos(half_yaw), 0, 0, np.sin(half_yaw)
 
     def _task_reset(self, rows: Tensor) -> dict[str, Any]:
         episode, box = self._episode, self._sensors[:, self._box_slice]
@@ -137,7 +159,8 @@ class PushEnv(ArmEnv):
     def _success(self, box: Tensor, distances: PushDistances, ended: Tensor) -> Tensor:
         if not bool(ended.any()):
             return torch.zeros_like(ended)
-        return ended & (distances.box_to_goal < self.success_radius) & self._is_flat(box)
+        there = ended & (distances.box_to_goal < self.success_radius) & self._is_flat(box)
+        return there & (distances.yaw_error < self.success_yaw) if self.goal == "pose" else there
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         episode, box = self._episode, self._sensors[:, self._box_slice]
@@ -159,10 +182,16 @@ class PushEnv(ArmEnv):
         progress = reward.progress(
             weights, distance=distances.box_to_goal, previous=before.box_to_goal, initial=first.box_to_goal
         )
+        if self.goal == "pose":
+            progress += reward.turn(weights, error=distances.yaw_error, previous=before.yaw_error)
         if bool(ended.any()):
             progress += reward.arrival(
                 weights, distance=distances.box_to_goal, success=success, ended=ended, radius=self.success_radius
             )
+            if self.goal == "pose":
+                progress += reward.pose_arrival(
+                    weights, distance=distances.box_to_goal, error=distances.yaw_error, ended=ended
+                )
         approach = reward.free_space(
             weights, distance=distances.tool_to_box, previous=before.tool_to_box, initial=first.tool_to_box,
             touched=episode.touched,
@@ -177,9 +206,11 @@ class PushEnv(ArmEnv):
 
     def _distances(self, box: Tensor, tool: Tensor) -> PushDistances:
         norm = torch.linalg.vector_norm
+        episode = self._episode
         return PushDistances(
-            box_to_goal=norm(self._episode.goal - box[:, :2], dim=-1, keepdim=True),
+            box_to_goal=norm(episode.goal - box[:, :2], dim=-1, keepdim=True),
             tool_to_box=norm(tool[:, :2] - box[:, :2], dim=-1, keepdim=True),
+            yaw_error=_yaw_between(box[:, 3:7], episode.goal_yaw) if self.goal == "pose" else episode.initial.yaw_error,
         )
 
     def _is_flat(self, box: Tensor) -> Tensor:
@@ -190,22 +221,23 @@ class PushEnv(ArmEnv):
     # -- observations -------------------------------------------------------------------------------------------------
 
     def _via_points(self, tool: Tensor) -> Tensor:
-        """``(num_envs, 3, 3)`` via-points (x, y, yaw): start of the tool, behind the box, at the goal [m, rad]."""
+        """``(num_envs, 3, 3)`` via-points (x, y, yaw) of the reference push [m, rad]."""
         episode = self._episode
-        push = episode.goal - episode.box_start
-        direction = push / push.norm(dim=-1, keepdim=True)
-        yaw = torch.atan2(direction[:, 1:], direction[:, :1])
-        offset = episode.half + self.tool.half_thickness  # from the box's centre to the bar's when they touch [m]
-        start = torch.cat([tool[:, :2], torch.zeros_like(yaw)], -1)
-        behind = torch.cat([episode.box_start - (offset + _APPROACH_GAP) * direction, _APPROACH_YAW * yaw], -1)
-        end = torch.cat([episode.goal - offset * direction, yaw], -1)
-        return torch.stack([start, behind, end], 1)
+        return push_via_points(
+            self.reference,
+            tool=tool[:, :2],
+            box=episode.box_start,
+            goal=episode.goal,
+            goal_yaw=episode.goal_yaw if self.goal == "pose" else None,
+            offset=episode.half + self.tool.half_thickness,
+        )
 
     def _task_observation(
         self, box: Tensor, terms: dict[str, Tensor], distances: PushDistances, success: Tensor
     ) -> dict[str, Any]:
         episode = self._episode
-        return {
+        turned = {"goal_yaw": episode.goal_yaw, "yaw_error": distances.yaw_error} if self.goal == "pose" else {}
+        return turned | {
             "box_pose": box,
             "box_start": episode.box_start,
             "box_size": 2 * episode.half,
@@ -221,8 +253,17 @@ class PushEnv(ArmEnv):
 
     def _task_spec(self, make: SpecMaker) -> Composite:
         real, flag = make.real, make.flag
+        turned = {"goal_yaw": real(1), "yaw_error": real(1)} if self.goal == "pose" else {}
         return make.nest(
+            **turned,
             box_pose=real(7), box_start=real(2), box_size=real(1), goal=real(2), via_phase=real(3),
             via_position=real(3, 3), via_cov=real(3, 3, 3), via_mask=flag(3), progress=real(1), success=flag(),
             reward_terms=reward_spec(make),
         )  # fmt: skip
+
+
+def _yaw_between(orientation: Tensor, yaw: Tensor) -> Tensor:
+    """``(B, 1)`` size of the difference between the yaw of a quaternion ``(B, 4)`` and ``yaw`` ``(B, 1)`` [rad]."""
+    w, x, y, z = orientation.split(1, -1)
+    error = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) - yaw
+    return torch.remainder(error + math.pi, 2 * math.pi).sub_(math.pi).abs_()

@@ -22,11 +22,14 @@ _PLACE: Bound = (-2.0, 2.0, "m")
 _BOUNDS: dict[str, Bound] = {
     "friction": (0.0, 5.0, ""), "mass": (0.1, 10.0, ""), "box_yaw": (-3.15, 3.15, "rad"),
     "box_x": _PLACE, "box_y": _PLACE, "goal_x": _PLACE, "goal_y": _PLACE, "tool_x": _PLACE, "tool_y": _PLACE,
+    "goal_yaw": (-3.15, 3.15, "rad"), "com": (-0.1, 0.1, "m"), "error": (-0.1, 0.1, "m"),
 }  # fmt: skip
 
 #: Phases of the via-points [-], and their standard deviations in x, y [m] and yaw [rad].
 _VIA_PHASE = (0.0, 0.35, 1.0)
 _VIA_STD = ((1e-3, 1e-3, 1e-2), (5e-3, 5e-3, 3e-2), (1e-3, 1e-3, 1e-2))
+#: Ranges that two coordinates share, each of which is drawn.
+_PAIRS = ("com", "error")
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,9 @@ class PushRandomisation:
         goal_y: y of the goal of the box's centre [m].
         tool_x: x of the tool at the start [m].
         tool_y: y of the tool at the start [m].
+        goal_yaw: yaw of the goal, where the task asks for one [rad].
+        com: offset of the box's centre of mass from its centre, along the box's x and along its y [m].
+        error: error of the known position of the box at the start, in x and in y [m].
     """
 
     friction: tuple[float, float] = (0.20, 0.60)
@@ -54,6 +60,9 @@ class PushRandomisation:
     goal_y: tuple[float, float] = (-0.15, 0.15)
     tool_x: tuple[float, float] = (0.355, 0.365)
     tool_y: tuple[float, float] = (-0.02, 0.02)
+    goal_yaw: tuple[float, float] = (-0.6, 0.6)
+    com: tuple[float, float] = (0.0, 0.0)
+    error: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check that no range is empty or absurd."""
@@ -61,15 +70,17 @@ class PushRandomisation:
 
 
 class PushDistances(NamedTuple):
-    """Distances on the map.
+    """What is left to do, on the map.
 
     Attributes:
         box_to_goal: ``(B, 1)`` from the box's centre to the goal [m].
         tool_to_box: ``(B, 1)`` from the end-effector point to the box's centre [m].
+        yaw_error: ``(B, 1)`` between the yaw of the box and that of its goal, in size [rad].
     """
 
     box_to_goal: Tensor
     tool_to_box: Tensor
+    yaw_error: Tensor
 
 
 class PushEpisodes(Episodes):
@@ -83,8 +94,10 @@ class PushEpisodes(Episodes):
     def _allocate(self) -> None:
         num_envs, dtype, zeros = self.num_envs, self.dtype, self.zeros
         self.physical = {name: np.zeros(num_envs) for name in ("half", "mass", "friction")}  # [m], [kg], [-]
-        self.half, self.box_start, self.goal = zeros(1), zeros(2), zeros(2)
-        self.previous, self.initial = PushDistances(zeros(1), zeros(1)), PushDistances(zeros(1) + 1, zeros(1) + 1)
+        self.physical["com"] = np.zeros((num_envs, 2))  # in box axes [m]
+        self.half, self.box_start, self.goal, self.goal_yaw = zeros(1), zeros(2), zeros(2), zeros(1)
+        self.previous = PushDistances(zeros(1), zeros(1), zeros(1))
+        self.initial = PushDistances(zeros(1) + 1, zeros(1) + 1, zeros(1))
         self.touched = torch.zeros(num_envs, 1, dtype=torch.bool)
         self.via_phase = torch.tensor(_VIA_PHASE, dtype=dtype).repeat(num_envs, 1)
         self.via_position = zeros(3, 3)
@@ -99,9 +112,13 @@ class PushEpisodes(Episodes):
             drawn: a draw of :func:`draw_episodes`.
         """
         half = 0.5 * drawn["size"]
-        for name, value in (("half", half), ("mass", drawn["mass"]), ("friction", drawn["friction"])):
-            self.physical[name][rows] = value
-        self.replace(torch.from_numpy(rows), half=half[:, None], box_start=drawn["box"], goal=drawn["goal"])
+        for name in ("mass", "friction", "com"):
+            self.physical[name][rows] = drawn[name]
+        self.physical["half"][rows] = half
+        self.replace(
+            torch.from_numpy(rows), half=half[:, None], box_start=drawn["box"] + drawn["error"], goal=drawn["goal"],
+            goal_yaw=drawn["goal_yaw"][:, None],
+        )  # fmt: skip
 
     def begin(self, rows: Tensor, distances: PushDistances) -> None:
         """Measure the progress of some environments from where tool and box are now.
@@ -110,8 +127,11 @@ class PushEpisodes(Episodes):
             rows: indices of the environments.
             distances: of all environments.
         """
-        for previous, initial, now in zip(self.previous, self.initial, distances, strict=True):
-            previous[rows], initial[rows] = now[rows], now[rows].clamp_min(1e-3)
+        self.previous = PushDistances(
+            *(_put(old, rows, now) for old, now in zip(self.previous, distances, strict=True))
+        )
+        for initial, now in zip(self.initial, distances, strict=True):
+            initial[rows] = now[rows].clamp_min(1e-3)
         self.touched[rows] = False
 
     def advance(self, distances: PushDistances) -> None:
@@ -122,6 +142,13 @@ class PushEpisodes(Episodes):
         """
         self.previous = distances
         self.touched = self.touched | (distances.box_to_goal < self.initial.box_to_goal - 1e-3)
+
+
+def _put(tensor: Tensor, rows: Tensor, source: Tensor) -> Tensor:
+    """A copy with some rows of another tensor; observations may share the old one."""
+    result = tensor.clone()
+    result[rows] = source[rows]
+    return result
 
 
 def check_start(boxes: Boxes, ranges: PushRandomisation, tool: tuple[float, float, float], height: float) -> None:
@@ -161,13 +188,14 @@ def draw_episodes(
         boxes: the boxes to draw from.
 
     Returns:
-        Arrays with one entry per episode: ``size`` [m], ``mass`` [kg], ``box``, ``goal`` and ``tool`` (x, y) [m],
-        ``yaw`` [rad], ``friction`` [-].
+        Arrays with one entry per episode: ``size`` [m], ``mass`` [kg], ``box``, ``goal``, ``tool``, ``com`` and
+        ``error`` (x, y) [m], ``yaw`` and ``goal_yaw`` [rad], ``friction`` [-].
     """
-    names = list(vars(ranges))
+    names = [name for name in vars(ranges) if name not in _PAIRS] + [name for name in _PAIRS for _ in range(2)]
     low, high = np.asarray([getattr(ranges, name) for name in names]).T
     uniform = generators.uniform(rows, len(names) + 1)
-    drawn = dict(zip(names, (low + (high - low) * uniform[:, 1:]).T, strict=True))
+    values = (low + (high - low) * uniform[:, 1:]).T
+    drawn = dict(zip(names, values, strict=True))
     which = (uniform[:, 0] * len(boxes.sizes)).astype(int)
     return {
         "size": np.asarray(boxes.sizes)[which],
@@ -175,6 +203,9 @@ def draw_episodes(
         "box": np.stack([drawn["box_x"], drawn["box_y"]], -1),
         "goal": np.stack([drawn["goal_x"], drawn["goal_y"]], -1),
         "tool": np.stack([drawn["tool_x"], drawn["tool_y"]], -1),
+        "com": values[-4:-2].T,
+        "error": values[-2:].T,
         "yaw": drawn["box_yaw"],
+        "goal_yaw": drawn["goal_yaw"],
         "friction": drawn["friction"],
     }

@@ -10,7 +10,10 @@ from torch import Tensor
 from ppt_rl.envs.limits import require_weights
 from ppt_rl.functional.argument_checks import require_in_range
 
-__all__ = ["PushRewards", "arrival", "contact", "free_space", "progress"]
+__all__ = ["PushRewards", "arrival", "contact", "free_space", "pose_arrival", "progress", "turn"]
+
+#: Widths of the reward for the pose at the end [m], [rad].
+_POSE_RADIUS, _POSE_YAW = 0.06, 0.2
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,8 @@ class PushRewards:
         progress: reward for moving the box all the way from its start to the goal [1].
         precision: largest reward at the end for a box near the goal, see :func:`arrival` [1].
         success: reward at the end if the task is done [1].
+        turn: reward for turning the box towards the yaw of its goal, where it has one [1/rad].
+        pose: largest reward at the end for a box near the pose of its goal, see :func:`pose_arrival` [1].
         free_space: reward for moving the tool all the way from its start to the box [1].
         contact: penalty on contact force above ``force_limit`` [1/(N s)].
         force_limit: contact force that costs nothing [N].
@@ -33,6 +38,8 @@ class PushRewards:
     progress: float = 1.0
     precision: float = 1.0
     success: float = 1.0
+    turn: float = 0.5
+    pose: float = 1.0
     free_space: float = 0.2
     contact: float = 0.2
     force_limit: float = 5.0
@@ -78,6 +85,37 @@ def arrival(weights: PushRewards, *, distance: Tensor, success: Tensor, ended: T
         ``(B, 1)`` reward, zero or positive.
     """
     return (weights.precision * torch.exp(-distance / radius) + weights.success * success) * ended
+
+
+def turn(weights: PushRewards, *, error: Tensor, previous: Tensor) -> Tensor:
+    r"""Progress of the box's yaw in this control step: ``w (e_previous - e)``.
+
+    Args:
+        weights: of the task.
+        error: ``(B, 1)`` size of the difference in yaw between box and goal [rad].
+        previous: ``(B, 1)`` the same one control step before [rad].
+
+    Returns:
+        ``(B, 1)`` reward, negative where the box turns away from the yaw of its goal.
+    """
+    return weights.turn * (previous - error)
+
+
+def pose_arrival(weights: PushRewards, *, distance: Tensor, error: Tensor, ended: Tensor) -> Tensor:
+    r"""Reward at the end of the episode for position and yaw together: ``w exp(-d / 6 cm) exp(-e / 0.2 rad)``.
+
+    It is three times as wide as the success radius, so a box that is turned well but not yet near earns something.
+
+    Args:
+        weights: of the task.
+        distance: ``(B, 1)`` from box to goal [m].
+        error: ``(B, 1)`` size of the difference in yaw [rad].
+        ended: ``(B, 1)`` True at the last control step of an episode.
+
+    Returns:
+        ``(B, 1)`` reward, zero or positive.
+    """
+    return weights.pose * torch.exp(-distance / _POSE_RADIUS - error / _POSE_YAW) * ended
 
 
 def free_space(weights: PushRewards, *, distance: Tensor, previous: Tensor, initial: Tensor, touched: Tensor) -> Tensor:

@@ -29,14 +29,18 @@ def _add_goal(world: Any) -> None:
 
 def _add_box(root: Any, half_size: float, mass: float) -> None:
     body = root.worldbody.add("body", name=PUSH_BOX, pos=[0.45, 0, half_size])
+    # Explicit, so that an environment may move the centre of mass of the compiled model.
+    inertia = mass * (2 * half_size) ** 2 / 6
+    body.add("inertial", pos=[0, 0, 0], mass=mass, diaginertia=[inertia] * 3)
     body.add("freejoint", name=PUSH_BOX)
     # With its priority, the box's friction applies to its contacts with tool and table: one number randomises both.
     body.add(
         "geom", name=PUSH_BOX, type="box", size=[half_size] * 3, mass=mass, rgba=[0.86, 0.45, 0.20, 1],
         contype=0, conaffinity=5, priority=1, condim=3, friction=[0.4, 0.005, 0.0001],
     )  # fmt: skip
-    root.sensor.add("framepos", name="box_position", objtype="body", objname=PUSH_BOX)
-    root.sensor.add("framequat", name="box_orientation", objtype="body", objname=PUSH_BOX)
+    # The frame of the body, not that of its inertia, which an environment may move.
+    root.sensor.add("framepos", name="box_position", objtype="xbody", objname=PUSH_BOX)
+    root.sensor.add("framequat", name="box_orientation", objtype="xbody", objname=PUSH_BOX)
 
 
 def push_scene(

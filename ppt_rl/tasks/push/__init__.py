@@ -2,6 +2,7 @@
 
 from ppt_rl.tasks.push.config import (
     PRIVILEGED,
+    ByGoal,
     EpisodeLevelConfig,
     PushConfig,
     StepWiseConfig,
@@ -15,6 +16,7 @@ __all__ = [
     "PRIVILEGED",
     "PUSH",
     "PUSH_AXES",
+    "ByGoal",
     "EpisodeLevelConfig",
     "PushConfig",
     "StepWiseConfig",

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 from torch import nn
 from torchrl.envs import TransformedEnv
 
-from ppt_rl.envs import PushEnv
+from ppt_rl.envs import PushEnv, PushGoal, PushReference
+from ppt_rl.functional.argument_checks import shown
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.tasks.config import TaskConfig, env_settings
 from ppt_rl.training import make_actor_critic
 
 __all__ = [
     "PRIVILEGED",
+    "ByGoal",
     "EpisodeLevelConfig",
     "PushConfig",
     "StepWiseConfig",
@@ -29,21 +31,43 @@ _KNOWN = ("box_start", "goal", "box_size", "pose", "twist", "wrench", "phase")
 #: Observations that exist in simulation only; no evaluated policy sees them.
 PRIVILEGED = ("box_pose",)
 
+if TYPE_CHECKING:
+    ByGoal = float
+else:  # a number that __post_init__ fills in where it is None
+    ByGoal = float | None
+#: Defaults that depend on what has to be at the goal.
+_BY_GOAL = {"duration": {"pose": 1.5, "position": 3.0}, "e_max": {"pose": 1.5, "position": 3.0}}
+
 
 @dataclass(frozen=True)
 class PushConfig(TaskConfig):
     """Options of every pushing recipe.
 
     Attributes:
+        goal: what has to be at the goal: the centre of the box (the paper's task), or its yaw as well.
+        duration: episode length [s]; None takes that of the goal: 1.5 s for a pose, 3 s for a position.
+        counter_turn: share of the missing turn by which the reference approaches from the other side [-].
         box_sizes: edge lengths of the boxes to draw from [m].
         box_masses: mass of each of them [kg]; none takes the paper's, which has 0.06 m (50 g) and 0.08 m (80 g).
     """
 
     run_dir: Path = Path("runs/push")
+    goal: PushGoal = "pose"
+    duration: ByGoal = None  # type: ignore[assignment]
+    counter_turn: float = 0.5
     box_sizes: tuple[float, ...] = (0.06, 0.08)
     box_masses: tuple[float, ...] = ()
 
-    bounds: ClassVar[dict[str, Bounds]] = {"box_sizes": Bounds(1e-3, 1.0, "m")}
+    bounds: ClassVar[dict[str, Bounds]] = {"box_sizes": Bounds(1e-3, 1.0, "m"), "counter_turn": Bounds(-3.0, 3.0)}
+
+    def __post_init__(self) -> None:
+        """Take the defaults of the goal, and refuse numbers out of bounds."""
+        if self.goal not in get_args(PushGoal):
+            raise ValueError(f"goal is {shown(self.goal)}; expected one of {list(get_args(PushGoal))}.")
+        for name, default in _BY_GOAL.items():
+            if getattr(self, name, 0.0) is None:
+                object.__setattr__(self, name, default[self.goal])
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
@@ -138,7 +162,11 @@ def make_push_env(
         raise ValueError(f"{len(given)} episodes are given; expected none, since pushing episodes are drawn.")
     settings = env_settings(config, num_envs=num_envs, seed=seed, audit=audit)
     masses = config.box_masses or None
-    return PushEnv(box_sizes=config.box_sizes, box_masses=masses, duration=config.duration, **settings)
+    reference = PushReference(counter_turn=config.counter_turn)
+    return PushEnv(
+        goal=config.goal, box_sizes=config.box_sizes, box_masses=masses, reference=reference, duration=config.duration,
+        **settings,
+    )  # fmt: skip
 
 
 def make_push_policy(
@@ -154,5 +182,6 @@ def make_push_policy(
     Returns:
         Actor and critic.
     """
-    keys = [*_KNOWN, *extra_keys]
+    goal = ["goal_yaw"] if "goal_yaw" in env.observation_spec.keys() else []
+    keys = [*_KNOWN, *goal, *extra_keys]
     return make_actor_critic(env, keys, [*keys, *PRIVILEGED], initial_scale=initial_scale)

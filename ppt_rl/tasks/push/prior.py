@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ppt_rl.envs.physics import EngineConfig
-from ppt_rl.envs.push import PushEnv
+from ppt_rl.envs.push import PushEnv, PushGoal, PushReference
 from ppt_rl.modules.promp import ProMP
 
 __all__ = ["PUSH_AXES", "fit_push_prior", "minimum_jerk", "push_demonstrations"]
@@ -46,11 +46,20 @@ def push_demonstrations(via_phase: Tensor, via_position: Tensor, num_samples: in
     return via_position[:, :1] + profile.mT @ steps
 
 
-def fit_push_prior(promp: ProMP, *, num_demonstrations: int = 512, seed: int = 0) -> ProMP:
+def fit_push_prior(
+    promp: ProMP,
+    *,
+    goal: PushGoal = "position",
+    counter_turn: float = 0.5,
+    num_demonstrations: int = 512,
+    seed: int = 0,
+) -> ProMP:
     """Fit the prior of a pushing primitive to scripted demonstrations of random episodes.
 
     Args:
         promp: a primitive with the coordinates of :data:`PUSH_AXES`; changed in place.
+        goal: what has to be at the goal.
+        counter_turn: as in :class:`~ppt_rl.envs.PushReference`.
         num_demonstrations: number of episodes.
         seed: seed of the episodes.
 
@@ -58,7 +67,10 @@ def fit_push_prior(promp: ProMP, *, num_demonstrations: int = 512, seed: int = 0
         The primitive.
     """
     engine = EngineConfig(num_threads=1)
-    env = PushEnv(num_envs=num_demonstrations, duration=promp.duration, seed=seed, engine=engine)
+    reference = PushReference(counter_turn=counter_turn)
+    env = PushEnv(
+        num_envs=num_demonstrations, goal=goal, reference=reference, duration=promp.duration, seed=seed, engine=engine
+    )
     episode = env.reset()
     promp.fit(push_demonstrations(episode["via_phase"].double(), episode["via_position"].double()))
     env.close()
