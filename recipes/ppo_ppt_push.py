@@ -65,7 +65,7 @@ def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
 
 def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
     """Actor and critic."""
-    return make_push_policy(env, initial_scale=config.initial_scale, extra_keys=("tank_energy", "valve"))
+    return make_push_policy(config, env, initial_scale=config.initial_scale, extra_keys=("tank_energy", "valve"))
 
 
 def fit(config: Config, promp: ProMP) -> None:

@@ -19,8 +19,10 @@ from ppt_rl.tasks.push import PUSH, PUSH_AXES, StepWiseConfig, make_push_policy
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     EpisodeMetricsTransform,
+    HoldActionTransform,
     ImpedanceTransform,
     JointTorqueTransform,
+    MacroStepTransform,
 )
 
 
@@ -32,7 +34,7 @@ class Config(StepWiseConfig):
 
 
 def make_chain(config: Config, base: PushEnv) -> list[Transform]:
-    """S's chain: everything runs at control rate."""
+    """S's chain: the policy decides every few control steps, and everything else runs at control rate."""
     return [
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
         ImpedanceTransform(make_controller(config)),
@@ -40,14 +42,24 @@ def make_chain(config: Config, base: PushEnv) -> list[Transform]:
         CartesianVelocityTransform(
             TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead
         ),
+        MacroStepTransform(config.hold_steps, discount=config.ppo.gamma),
+        HoldActionTransform(config.hold_steps, smoothing=config.smoothing),
         StepCounter(),
-        UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),
+        UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / config.batch_steps),
     ]
 
 
 def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
     """Actor and critic."""
-    return make_push_policy(env, initial_scale=config.initial_scale, extra_keys=("reference_position",))
+    return make_push_policy(
+        config,
+        env,
+        initial_scale=config.initial_scale,
+        extra_keys=(
+            "reference_position",
+            "last_action",
+        ),
+    )
 
 
 RECIPE = Recipe("s_push", "S", PUSH, Config, make_chain, make_policy)

@@ -20,8 +20,10 @@ from ppt_rl.transforms import (
     CartesianVelocityTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
+    HoldActionTransform,
     ImpedanceTransform,
     JointTorqueTransform,
+    MacroStepTransform,
 )
 
 
@@ -38,7 +40,7 @@ class Config(StepWiseConfig):
 
 
 def make_chain(config: Config, base: PushEnv) -> list[Transform]:
-    """ST's chain: everything runs at control rate."""
+    """ST's chain: the policy decides every few control steps, and everything else runs at control rate."""
     return [
         motor_tank(config.p_max, config.e_max),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
@@ -48,15 +50,20 @@ def make_chain(config: Config, base: PushEnv) -> list[Transform]:
         CartesianVelocityTransform(
             TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead
         ),
+        MacroStepTransform(config.hold_steps, discount=config.ppo.gamma),
+        HoldActionTransform(config.hold_steps, smoothing=config.smoothing),
         StepCounter(),
-        UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / base.horizon),
+        UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / config.batch_steps),
     ]
 
 
 def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
     """Actor and critic."""
     return make_push_policy(
-        env, initial_scale=config.initial_scale, extra_keys=("reference_position", "tank_energy", "valve")
+        config,
+        env,
+        initial_scale=config.initial_scale,
+        extra_keys=("reference_position", "last_action", "tank_energy", "valve"),
     )
 
 

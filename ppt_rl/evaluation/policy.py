@@ -13,6 +13,7 @@ from torchrl.envs import EnvBase, ExcludeTransform, TransformedEnv
 from ppt_rl.evaluation.episodes import ZeroPolicy
 from ppt_rl.evaluation.published import is_pretrained, load_pretrained, pretrained_card, published_policies
 from ppt_rl.evaluation.recipe import Recipe, find_recipe
+from ppt_rl.evaluation.task import Baseline
 from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.training import CheckpointMismatch, checkpoint_info, find_checkpoint, from_json, load_checkpoint
 
@@ -90,8 +91,12 @@ class Policy:
 
     def baselines(self) -> list[str]:
         """Names of those that can act in the place of the policy, for comparison."""
-        own = [REFERENCE_ALONE] if self.recipe.has_reference else []
-        return [*own, *self.recipe.task.baselines]
+        return [*([REFERENCE_ALONE] if self.recipe.has_reference else []), *self._baselines()]
+
+    def _baselines(self) -> Mapping[str, Baseline]:
+        """Those of the task that this variant has."""
+        task = self.recipe.task
+        return {**(task.references if self.recipe.has_reference else {}), **task.baselines}
 
     def make_baseline(
         self, name: str, num_envs: int = 1, *, seed: int | None = None, audit: bool = False, given: Sequence[Any] = ()
@@ -117,7 +122,7 @@ class Policy:
             return self.make_env(num_envs, seed=seed, audit=audit, given=given), ZeroPolicy(self.actor)
         task = self.recipe.task
         base = task.make_test_env(self.config, num_envs=num_envs, seed=seed, audit=audit, given=given)
-        return task.baselines[name](self, base)
+        return self._baselines()[name](self, base)
 
 
 def restored_config(recipe: Recipe, settings: Mapping[str, Any], source: Path) -> Any:

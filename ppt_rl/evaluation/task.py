@@ -125,6 +125,7 @@ class Task:
         privileged: observations that exist in simulation only; an evaluated policy never sees them.
         groups: from options, groups of episodes that get rows of their own, by label: the options that make them.
         baselines: who else acts, by label; the reference alone comes by itself for variants that have one.
+        references: baselines that only variants with a reference have: other references, by label.
         report: how results are tabulated.
         pictures: what is recorded, filmed and drawn.
         sweep: difficulty of the episodes, one quantity at a time; None where there is none.
@@ -136,6 +137,7 @@ class Task:
     privileged: tuple[str, ...] = ()
     groups: Callable[[Any], Mapping[str, Mapping[str, Any]]] = _no_groups
     baselines: Mapping[str, Baseline] = field(default_factory=dict)
+    references: Mapping[str, Baseline] = field(default_factory=dict)
     report: Report = field(default_factory=Report)
     pictures: Pictures = field(default_factory=Pictures)
     sweep: Sweep | None = None

@@ -9,6 +9,7 @@ from ppt_rl.transforms.contact_via_point import ContactViaPointTransform
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
 from ppt_rl.transforms.episode_metrics import EpisodeMetricsTransform
 from ppt_rl.transforms.heading_frame import HeadingFrameTransform
+from ppt_rl.transforms.hold_action import HoldActionTransform
 from ppt_rl.transforms.impedance import ImpedanceTransform
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from ppt_rl.transforms.macro_step import MacroStepTransform
@@ -24,6 +25,7 @@ __all__ = [
     "EnergyTankTransform",
     "EpisodeMetricsTransform",
     "HeadingFrameTransform",
+    "HoldActionTransform",
     "ImpedanceTransform",
     "JointTorqueTransform",
     "MacroStepTransform",

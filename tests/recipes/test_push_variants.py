@@ -40,7 +40,7 @@ PUSH = ["JointTorqueTransform", "ImpedanceTransform", "EpisodeMetricsTransform"]
 #: With the tank at the motors and the paper's, on the wrench.
 TANKS = ["EnergyTankTransform", PUSH[0], "EnergyTankTransform", *PUSH[1:]]
 PROMP = ["MacroStepTransform", "ProMPTransform", "ViaPointTransform"]
-STEPWISE = ["CartesianVelocityTransform", "StepCounter", "UnaryTransform"]
+STEPWISE = ["CartesianVelocityTransform", "MacroStepTransform", "HoldActionTransform", "StepCounter", "UnaryTransform"]
 #: Transforms of each variant in order; the tank acts at control rate, so it stands before the macro step.
 CHAINS = {
     "pp_push": [*PUSH, *PROMP],
@@ -48,13 +48,13 @@ CHAINS = {
     "s_push": [*PUSH, *STEPWISE],
     "st_push": [*TANKS, *STEPWISE],
 }
-KNOWN = ["box_start", "goal", "box_size", "pose", "twist", "wrench", "phase"]
+KNOWN = ["box_start", "goal", "box_size", "pose", "twist", "wrench", "phase", "goal_yaw"]
 #: What each policy reads besides.
 EXTRA = {
     "pp_push": [],
     "ppt_push": ["tank_energy", "valve"],
-    "s_push": ["reference_position"],
-    "st_push": ["reference_position", "tank_energy", "valve"],
+    "s_push": ["reference_position", "last_action"],
+    "st_push": ["reference_position", "last_action", "tank_energy", "valve"],
 }
 variants = pytest.mark.parametrize("variant", sorted(CHAINS))
 
@@ -62,7 +62,7 @@ variants = pytest.mark.parametrize("variant", sorted(CHAINS))
 def tiny(variant: str, run_dir: Path) -> Any:
     """Options of a training of two batches, an episode of four environments each."""
     recipe = find_recipe(variant)
-    shape = {"batch_steps": STEPS} if variant in ("s_push", "st_push") else {"num_basis": 4}
+    shape = {"hold_steps": 5} if variant in ("s_push", "st_push") else {"num_basis": 4}
     ppo = PPOConfig(total_control_steps=2 * 4 * STEPS, epochs=2, minibatches=2)
     return recipe.config(run_dir=run_dir, num_envs=4, num_threads=1, duration=0.2, physics_dt=0.002, ppo=ppo, **shape)
 

@@ -21,6 +21,7 @@ from ppt_rl.transforms import (
     EnergyTankTransform,
     EpisodeMetricsTransform,
     HeadingFrameTransform,
+    HoldActionTransform,
     ImpedanceTransform,
     JointTorqueTransform,
     MacroStepTransform,
@@ -150,6 +151,13 @@ CASES: dict[str, Case] = {
             "wrench_key": ("agent", "wrench"),
             "start_key": ("agent", "start_heading"),
         },
+    ),
+    "HoldActionTransform": Case(
+        lambda **kwargs: HoldActionTransform(3, smoothing=0.5, **kwargs),
+        inner=(3, 7),
+        outer=(7,),
+        state=("last_action",),
+        nested=_ACTION,
     ),
     "ImpedanceTransform": Case(
         lambda **kwargs: ImpedanceTransform(CartesianImpedanceController(), **kwargs),

@@ -114,7 +114,11 @@ class PushEnv(ArmEnv):
     # -- episode ------------------------------------------------------------------------------------------------------
 
     def _scene(self) -> Any:
-        return push_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt)
+        return push_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt, movable_com=self._moves_com)
+
+    @property
+    def _moves_com(self) -> bool:
+        return any(self.randomisation.com)
 
     def _prepare(self, model: Any) -> None:
         self._box_slice = sensor_span(model, "box_position", "box_orientation")
@@ -136,9 +140,8 @@ class PushEnv(ArmEnv):
         physical = self._episode.physical
         half, mass, friction = (float(physical[key][row]) for key in ("half", "mass", "friction"))
         geom, body = model.geom(PUSH_BOX), model.body(PUSH_BOX)
-        body.ipos[:2] = physical["com"][row]
-        # A flag from compilation says whether frame and centre of mass coincide; if it says so, MuJoCo ignores ipos.
-        model.body_sameframe[body.id] = not physical["com"][row].any()
+        if self._moves_com:
+            body.ipos[:2] = physical["com"][row]
         geom.size[:] = half
         geom.friction[0] = friction
         body.mass[:] = mass

@@ -27,11 +27,11 @@ def _add_goal(world: Any) -> None:
             )  # fmt: skip
 
 
-def _add_box(root: Any, half_size: float, mass: float) -> None:
+def _add_box(root: Any, half_size: float, mass: float, movable_com: bool) -> None:
     body = root.worldbody.add("body", name=PUSH_BOX, pos=[0.45, 0, half_size])
-    # Explicit, so that an environment may move the centre of mass of the compiled model.
-    inertia = mass * (2 * half_size) ** 2 / 6
-    body.add("inertial", pos=[0, 0, 0], mass=mass, diaginertia=[inertia] * 3)
+    if movable_com:  # MuJoCo compiles a body whose frame is that of its inertia into one that has to stay so
+        inertia = mass * (2 * half_size) ** 2 / 6
+        body.add("inertial", pos=[1e-3, 0, 0], mass=mass, diaginertia=[inertia] * 3)
     body.add("freejoint", name=PUSH_BOX)
     # With its priority, the box's friction applies to its contacts with tool and table: one number randomises both.
     body.add(
@@ -44,7 +44,13 @@ def _add_box(root: Any, half_size: float, mass: float) -> None:
 
 
 def push_scene(
-    arm: Arm, tool: Tool = PADDLE, *, half_size: float = 0.03, mass: float = 0.05, physics_dt: float = 0.0005
+    arm: Arm,
+    tool: Tool = PADDLE,
+    *,
+    half_size: float = 0.03,
+    mass: float = 0.05,
+    physics_dt: float = 0.0005,
+    movable_com: bool = False,
 ) -> Any:
     """MJCF of the pushing scene: :func:`table_scene` with a box and a goal mark.
 
@@ -54,11 +60,12 @@ def push_scene(
         half_size: half edge length of the box [m].
         mass: mass of the box [kg].
         physics_dt: time step of the physics [s].
+        movable_com: whether the box's centre of mass may be moved in the compiled model; it is 1 mm off at first.
 
     Returns:
         A ``dm_control.mjcf.RootElement``.
     """
     root = table_scene(arm, tool, physics_dt=physics_dt)
     _add_goal(root.worldbody)
-    _add_box(root, half_size, mass)
+    _add_box(root, half_size, mass, movable_com)
     return root

@@ -1,14 +1,13 @@
 """Box pushing as a learning task."""
 
 from ppt_rl.tasks.push.config import (
-    PRIVILEGED,
     ByGoal,
     EpisodeLevelConfig,
     PushConfig,
     StepWiseConfig,
     make_push_env,
-    make_push_policy,
 )
+from ppt_rl.tasks.push.networks import PRIVILEGED, make_push_policy
 from ppt_rl.tasks.push.prior import PUSH_AXES, fit_push_prior
 from ppt_rl.tasks.push.task import PUSH
 

@@ -7,29 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
-from torch import nn
-from torchrl.envs import TransformedEnv
-
 from ppt_rl.envs import PushEnv, PushGoal, PushReference
 from ppt_rl.functional.argument_checks import shown
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.tasks.config import TaskConfig, env_settings
-from ppt_rl.training import make_actor_critic
 
 __all__ = [
-    "PRIVILEGED",
     "ByGoal",
     "EpisodeLevelConfig",
     "PushConfig",
     "StepWiseConfig",
     "make_push_env",
-    "make_push_policy",
 ]
-
-#: What a policy may read, in training and at test time. The critic, needed in training only, reads the box's pose too.
-_KNOWN = ("box_start", "goal", "box_size", "pose", "twist", "wrench", "phase")
-#: Observations that exist in simulation only; no evaluated policy sees them.
-PRIVILEGED = ("box_pose",)
 
 if TYPE_CHECKING:
     ByGoal = float
@@ -46,6 +35,7 @@ class PushConfig(TaskConfig):
     Attributes:
         goal: what has to be at the goal: the centre of the box (the paper's task), or its yaw as well.
         duration: episode length [s]; None takes that of the goal: 1.5 s for a pose, 3 s for a position.
+        mirror: whether actor and task share the mirror symmetry of left and right.
         counter_turn: share of the missing turn by which the reference approaches from the other side [-].
         box_sizes: edge lengths of the boxes to draw from [m].
         box_masses: mass of each of them [kg]; none takes the paper's, which has 0.06 m (50 g) and 0.08 m (80 g).
@@ -54,6 +44,7 @@ class PushConfig(TaskConfig):
     run_dir: Path = Path("runs/push")
     goal: PushGoal = "pose"
     duration: ByGoal = None  # type: ignore[assignment]
+    mirror: bool = True
     counter_turn: float = 0.5
     box_sizes: tuple[float, ...] = (0.06, 0.08)
     box_masses: tuple[float, ...] = ()
@@ -118,23 +109,32 @@ class StepWiseConfig(PushConfig):
         max_yaw_rate: yaw rate of an action of 1 [rad/s].
         max_lead: largest distance of the reference from the tool in x and y [m].
         max_yaw_lead: largest distance in yaw [rad].
+        hold_steps: control steps from one decision to the next.
+        smoothing: share of the difference to the last action that remains after a control step [-].
         initial_scale: standard deviation of the untrained policy, in actions [-].
-        batch_steps: control steps of every environment in a batch.
     """
 
+    hold_steps: int = 10
+    smoothing: float = 0.0
     max_velocity: float = 0.4
     max_yaw_rate: float = 1.5
     max_lead: float = 0.05
     max_yaw_lead: float = 0.3
-    initial_scale: float = 0.25
-    batch_steps: int = 60
+    initial_scale: float = 0.5
 
     bounds: ClassVar[dict[str, Bounds]] = {
+        "hold_steps": Bounds(1, 10_000, "control steps"),
+        "smoothing": Bounds(0.0, 0.999),
         "max_velocity": Bounds(1e-6, 100.0, "m/s"),
         "max_yaw_rate": Bounds(1e-6, 100.0, "rad/s"),
         "max_lead": Bounds(1e-6, 10.0, "m"),
         "max_yaw_lead": Bounds(1e-6, 10.0, "rad"),
     }
+
+    @property
+    def batch_steps(self) -> int:
+        """Policy steps of every environment in a batch: those of an episode."""
+        return -(-self.horizon // self.hold_steps)
 
     @property
     def velocity(self) -> tuple[float, float, float]:
@@ -167,21 +167,3 @@ def make_push_env(
         goal=config.goal, box_sizes=config.box_sizes, box_masses=masses, reference=reference, duration=config.duration,
         **settings,
     )  # fmt: skip
-
-
-def make_push_policy(
-    env: TransformedEnv, *, initial_scale: float, extra_keys: Sequence[str] = ()
-) -> tuple[nn.Module, nn.Module]:
-    """Actor on what is known at test time, critic on the box's pose as well.
-
-    Args:
-        env: environment with the recipe's chain.
-        initial_scale: standard deviation of the untrained policy [action units].
-        extra_keys: further observations, which the recipe's transforms add.
-
-    Returns:
-        Actor and critic.
-    """
-    goal = ["goal_yaw"] if "goal_yaw" in env.observation_spec.keys() else []
-    keys = [*_KNOWN, *goal, *extra_keys]
-    return make_actor_critic(env, keys, [*keys, *PRIVILEGED], initial_scale=initial_scale)

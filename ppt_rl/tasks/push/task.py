@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
-from ppt_rl.evaluation import Claim, Pictures, Report, Task
-from ppt_rl.tasks.push.config import PRIVILEGED, PushConfig, make_push_env
+from torchrl.envs import TransformedEnv
+
+from ppt_rl.envs import ArmEnv
+from ppt_rl.evaluation import Claim, Pictures, Policy, Report, Task, ZeroPolicy
+from ppt_rl.tasks.push.config import PushConfig, make_push_env
 from ppt_rl.tasks.push.figures import draw_push_episode
+from ppt_rl.tasks.push.networks import PRIVILEGED
 from ppt_rl.tasks.push.study_figures import draw_push_study
 
 __all__ = ["PUSH"]
@@ -26,6 +31,12 @@ _CLAIMS = (
 )
 
 
+def _naive_reference(policy: Policy, base: ArmEnv) -> tuple[TransformedEnv, ZeroPolicy]:
+    """A reference that approaches the box along the line to its goal, however much it still has to turn."""
+    base.reference = replace(base.reference, counter_turn=0.0)
+    return policy.recipe.on(base, policy.config, policy.modules), ZeroPolicy(policy.actor)
+
+
 def _boxes(config: PushConfig) -> dict[str, dict[str, Any]]:
     groups: dict[str, dict[str, Any]] = {f"{100 * size:.0f} cm": {"box_sizes": (size,)} for size in config.box_sizes}
     for group, mass in zip(groups.values(), config.box_masses, strict=False):  # by default there are none
@@ -39,6 +50,7 @@ PUSH = Task(
     make_test_env=make_push_env,
     privileged=PRIVILEGED,
     groups=_boxes,
+    references={"naive reference": _naive_reference},
     report=Report(
         episode_keys=("box_size",),
         claims=_CLAIMS,
