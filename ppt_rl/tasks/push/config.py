@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
@@ -11,6 +11,7 @@ from ppt_rl.envs import PushEnv, PushGoal, PushReference
 from ppt_rl.functional.argument_checks import shown
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.tasks.config import TaskConfig, env_settings
+from ppt_rl.training import PPOConfig
 
 __all__ = [
     "ByGoal",
@@ -26,6 +27,10 @@ else:  # a number that __post_init__ fills in where it is None
     ByGoal = float | None
 #: Defaults that depend on what has to be at the goal.
 _BY_GOAL = {"duration": {"pose": 1.5, "position": 3.0}, "e_max": {"pose": 1.5, "position": 3.0}}
+
+
+def _ppo() -> PPOConfig:
+    return PPOConfig(total_control_steps=2_208_000, epochs=12, target_kl=0.03)
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,7 @@ class PushConfig(TaskConfig):
     counter_turn: float = 0.5
     box_sizes: tuple[float, ...] = (0.06, 0.08)
     box_masses: tuple[float, ...] = ()
+    ppo: PPOConfig = field(default_factory=_ppo)
 
     bounds: ClassVar[dict[str, Bounds]] = {"box_sizes": Bounds(1e-3, 1.0, "m"), "counter_turn": Bounds(-3.0, 3.0)}
 
@@ -73,11 +79,11 @@ class EpisodeLevelConfig(PushConfig):
         initial_scale: standard deviation of the untrained policy, in residuals [-].
     """
 
-    num_basis: int = 8
+    num_basis: int = 6
     replan_steps: int = 0
-    residual_position: float = 0.03
-    residual_yaw: float = 0.3
-    initial_scale: float = 0.25
+    residual_position: float = 0.05
+    residual_yaw: float = 0.4
+    initial_scale: float = 0.3
 
     bounds: ClassVar[dict[str, Bounds]] = {
         "residual_position": Bounds(0.0, 10.0, "m"),
@@ -114,7 +120,7 @@ class StepWiseConfig(PushConfig):
         initial_scale: standard deviation of the untrained policy, in actions [-].
     """
 
-    hold_steps: int = 10
+    hold_steps: int = 5
     smoothing: float = 0.0
     max_velocity: float = 0.4
     max_yaw_rate: float = 1.5
