@@ -133,10 +133,10 @@ def test_an_error_of_the_system_ends_with_one_line_of_advice(tmp_path):
 
 
 def test_a_run_is_resumed_by_the_command_without_its_options(tmp_path):
-    options = ("--num-envs", "2", "--num-threads", "1", "--duration", "0.1", "--physics-dt", "0.005", "--batch-steps")
+    options = ("--num-envs", "2", "--num-threads", "1", "--duration", "0.1", "--physics-dt", "0.005", "--hold-steps")
     budget = ("--ppo.total-control-steps", "20")
     place = ("train", "s_push", "--run-dir", "mine")
-    assert command(*place, *options, "10", *budget, cwd=tmp_path).returncode == 0
+    assert command(*place, *options, "1", *budget, cwd=tmp_path).returncode == 0
     again = command(*place, "--resume", "--ppo.total-control-steps", "40", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert read_scalar(tmp_path / "mine", "reward")[0].tolist() == [20, 40]

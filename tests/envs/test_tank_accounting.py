@@ -5,6 +5,7 @@ over every substep of the physics, from sensors that no transform touches. The t
 changes while the wrench is held, and the posture torque, which is not part of the wrench, damps the elbow.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -16,17 +17,19 @@ from ppt_rl.tasks import motor_tank
 from ppt_rl.tasks.push import fit_push_prior, make_push_env
 from ppt_rl.transforms import EnergyTankTransform, JointTorqueTransform
 
+#: The paper's task, with a reference that takes some power.
+POSITION = recipe.Config(goal="position", num_basis=8, num_threads=1)
 ULP = torch.finfo(torch.float32).eps
 
 
 @pytest.fixture(scope="module")
 def promp():
-    return fit_push_prior(recipe.make_modules(recipe.Config())["promp"])
+    return fit_push_prior(recipe.make_modules(POSITION)["promp"])
 
 
 def pushed(promp, *, steps=0, tank=None, posture=True, **changes) -> tuple[recipe.Config, TensorDictBase]:
     """Eight audited episodes of PPT's own chain without a residual, or their first ``steps`` control steps."""
-    config = recipe.Config(num_threads=1, duration=3.0, physics_dt=0.001, replan_steps=steps, **changes)
+    config = replace(POSITION, physics_dt=0.001, replan_steps=steps, **changes)
     with pytest.MonkeyPatch.context() as patch:
         # The accounting is that of the paper's tank; the one at the motors would stop what a wrong one lets through.
         patch.setattr(recipe, "motor_tank", lambda p_max, e_max: motor_tank(1e6, 1e6))

@@ -227,5 +227,5 @@ def test_an_error_within_a_batch_writes_no_half_updated_state(tmp_path, monkeypa
 
 
 def test_a_batch_that_no_machine_holds_is_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"num_envs \* batch_steps is 1\.6384e\+09; expected at most 1e\+07"):
-        tiny(tmp_path, num_envs=16_384, batch_steps=100_000)
+    with pytest.raises(ValueError, match=r"num_envs \* batch_steps is 9\.8304e\+08; expected at most 1e\+07"):
+        tiny(tmp_path, num_envs=16_384, duration=600.0)

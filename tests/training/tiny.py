@@ -21,7 +21,7 @@ from ppt_rl.training.checkpoint import save_checkpoint
 BATCH = 2 * 10  # control steps of a batch: environments times steps of a batch
 #: The options of :func:`tiny` on a command line.
 OPTIONS = (
-    "--num-envs", "2", "--num-threads", "1", "--duration", "0.1", "--physics-dt", "0.005", "--batch-steps", "10",
+    "--num-envs", "2", "--num-threads", "1", "--duration", "0.1", "--physics-dt", "0.005", "--hold-steps", "1",
     "--ppo.epochs", "1", "--ppo.minibatches", "1", "--ppo.checkpoint-every", "1",
 )  # fmt: skip
 
@@ -29,7 +29,7 @@ OPTIONS = (
 def tiny(run_dir: Path, batches: int = 3, *, checkpoint_every: int = 1, **changes: Any) -> Any:
     """Options of a training of so many batches."""
     ppo = PPOConfig(total_control_steps=batches * BATCH, epochs=1, minibatches=1, checkpoint_every=checkpoint_every)
-    config = RECIPE.config(num_envs=2, num_threads=1, duration=0.1, physics_dt=0.005, batch_steps=10, ppo=ppo)
+    config = RECIPE.config(num_envs=2, num_threads=1, duration=0.1, physics_dt=0.005, hold_steps=1, ppo=ppo)
     return replace(config, run_dir=run_dir, **changes)
 
 
