@@ -45,7 +45,7 @@ def test_the_last_line_of_an_evaluation_is_json_from_any_folder(tmp_path):
     assert run.returncode == 0, run.stderr
     report = json.loads(run.stdout.splitlines()[-1])
     assert list(report) == [*COLUMNS, "baselines"]
-    assert list(report["baselines"]) == ["reference alone"]
+    assert list(report["baselines"]) == ["reference alone", "naive reference"]
 
 
 @pytest.mark.parametrize("variant", ["ppt_push", "st_maze"])

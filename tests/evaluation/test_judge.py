@@ -29,7 +29,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_json_has_the_promised_metrics_and_the_baselines_by_name(trained):
     result = evaluate(load_policy(trained), episodes=6, seed=5, baselines=True).as_json()
     assert list(result) == [*COLUMNS, "baselines"]
-    assert list(result["baselines"]) == ["reference alone"]
+    assert list(result["baselines"]) == ["reference alone", "naive reference"]
     for row in (result, result["baselines"]["reference alone"]):
         for name, column in COLUMNS.items():
             low, high = row[name]["ci95"]
@@ -48,11 +48,12 @@ def test_a_report_holds_a_row_for_each_actor_group_and_episode(trained, tmp_path
     assert {path.name for path in tmp_path.iterdir()} == {
         "evaluation.md", "evaluation.json", "audit.json", "episodes.csv",
     }  # fmt: skip
-    assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + 6 * 4
+    assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + 9 * 4
     labels = list(json.loads((tmp_path / "evaluation.json").read_text()))
     assert labels == [
         "ppt_push", "ppt_push, 6 cm", "ppt_push, 8 cm",
         "reference alone", "reference alone, 6 cm", "reference alone, 8 cm",
+        "naive reference", "naive reference, 6 cm", "naive reference, 8 cm",
     ]  # fmt: skip
 
 

@@ -81,7 +81,7 @@ def test_a_policy_of_a_users_own_recipe_is_loaded_and_judged_like_any_other(mine
     policy = load_policy(trained)
     assert policy.recipe is find_recipe(mine)
     rows = evaluate(policy, episodes=2, seed=1, baselines=True).rows
-    assert list(rows) == ["mine_push", "reference alone"]
+    assert list(rows) == ["mine_push", "reference alone", "naive reference"]
 
 
 def test_a_recipe_that_moved_is_named_and_can_be_given(mine, trained, tmp_path):

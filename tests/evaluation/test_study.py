@@ -52,7 +52,10 @@ def test_a_study_leaves_tables_figures_and_policies_of_every_variant(finished):
     summary = json.loads((results / "summary.json").read_text())
     assert summary["seeds"] == {"PP": 1, "PPT": 1, "S": 1, "ST": 1}
     assert set(summary["metrics"]["PPT"]) == set(COLUMNS)
-    assert set(summary["episodes"]) == {"PP", "PPT", "S", "ST", "reference alone, PP", "reference alone, PPT"}
+    assert set(summary["episodes"]) == {"PP", "PPT", "S", "ST", "reference alone, PP", "reference alone, PPT"} | {
+        "naive reference, PP",
+        "naive reference, PPT",
+    }
     assert {verdict["verdict"] for verdict in summary["orderings"]} == {"not resolved"}  # one seed
     for run in finished.planned():
         assert (finished.publish / run.recipe.variant / "policy.safetensors").exists()
@@ -73,7 +76,7 @@ def test_the_tables_can_be_recomputed_from_the_episodes(finished):
 
 def test_the_baselines_meet_the_episodes_of_the_policy(finished):
     run = next(run for run in finished.planned() if run.recipe.variant == "ppt_push")
-    assert run.actors() == ["ppt_push", "reference alone"]
+    assert run.actors() == ["ppt_push", "reference alone", "naive reference"]
     np.testing.assert_array_equal(run.episodes()["box_size"], run.episodes("reference alone")["box_size"])
 
 

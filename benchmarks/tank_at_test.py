@@ -1,0 +1,134 @@
+"""What a tank costs a policy that never met one, compared with a policy that was trained behind it.
+
+Three policies act in the same episodes behind tanks of several capacities and power limits: PPT, PP with a tank added
+at test, and the reference alone. Run ``python benchmarks/tank_at_test.py --report results/push``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+
+from ppt_rl import Policy, load_policy
+from ppt_rl.evaluation import ZeroPolicy, run_episodes
+from ppt_rl.evaluation.figures import save_figure
+from ppt_rl.evaluation.statistics import interval
+from ppt_rl.training.logs import write_text_atomically
+
+
+@dataclass(frozen=True)
+class Options:
+    """Compare policies behind tanks that they were not trained for.
+
+    Attributes:
+        behind: policy that was trained behind a tank: a published name, a checkpoint or a run.
+        without: policy of the same task that was trained without one.
+        episodes: episodes of each point.
+        seed: seed of the episodes.
+        report: directory of ``tank_at_test.json`` and ``tank_at_test.png``; none writes nothing.
+    """
+
+    behind: str = "ppt_push"
+    without: str = "pp_push"
+    episodes: int = 256
+    seed: int = 20000
+    report: Path | None = None
+
+
+#: Capacities [J] at the trained power limit, and power limits [W] at the trained capacity.
+_E_MAX = (1.0, 1.25, 1.5, 2.0, 3.0)
+_P_MAX = (1.0, 1.5, 2.0, 3.0, 5.0)
+
+
+def with_tank(policy: Policy, behind: Policy) -> Policy:
+    """A policy in the chain, and with the tank, of another one of the same task.
+
+    Args:
+        policy: the policy that acts; it reads nothing that its own chain does not write.
+        behind: the policy whose chain has the tank.
+
+    Returns:
+        The policy behind the tank.
+    """
+    shared = {f.name: getattr(policy.config, f.name) for f in fields(policy.config)}
+    config = replace(behind.config, **shared)
+    recipe = replace(behind.recipe, make_policy=policy.recipe.make_policy, label=f"{policy.recipe.label} + tank")
+    return replace(policy, recipe=recipe, config=config)
+
+
+def points() -> Iterator[tuple[str, dict[str, float]]]:
+    """What is varied, and the options of each point."""
+    for e_max in _E_MAX:
+        yield "e_max", {"e_max": e_max, "p_max": 2.0}
+    for p_max in _P_MAX:
+        yield "p_max", {"e_max": 1.5, "p_max": p_max}
+
+
+def measure(policy: Policy, actor: Any, options: Options) -> dict[str, Any]:
+    """Success with its interval, and how many episodes the tank acted in."""
+    env = policy.make_env(128, seed=options.seed, audit=True)
+    rows = run_episodes(env, actor, options.episodes, progress=policy.recipe.label)
+    env.close()
+    successes = rows["success"] > 0.5
+    low, high = interval(successes.astype(float), is_rate=True)
+    limits = policy.config
+    spent = (rows["work"] > 0.99 * limits.e_max) | (rows["max_power"] > 0.99 * limits.p_max)
+    return {
+        "success": float(successes.mean()), "low": low, "high": high, "tank_acts": float(spent.mean()),
+        "work": float(np.mean(rows["work"])), "max_power": float(np.max(rows["max_power"])),
+        "largest_work": float(np.max(rows["work"])),
+    }  # fmt: skip
+
+
+def main(options: Options) -> None:
+    """Measure, print and draw."""
+    behind, without = load_policy(options.behind), load_policy(options.without)
+    actors = {
+        "PPT": (behind, behind.actor),
+        "PP, tank added at test": (with_tank(without, behind), without.actor),
+        "reference alone": (behind, ZeroPolicy(behind.actor)),
+    }
+    results: list[dict[str, Any]] = []
+    for varied, limits in points():
+        for name, (policy, actor) in actors.items():
+            row = measure(policy.with_changes(**limits), actor, options)
+            results.append({"varied": varied, **limits, "actor": name, **row})
+            print(
+                f"{name:24} p_max {limits['p_max']:4} W, e_max {limits['e_max']:4} J: success {row['success']:.3f} "
+                f"({row['low']:.3f}-{row['high']:.3f}), the tank acts in {row['tank_acts']:.2f}", flush=True,
+            )  # fmt: skip
+    if options.report is not None:
+        record = {"episodes": options.episodes, "seed": options.seed, "points": results}
+        write_text_atomically(options.report / "tank_at_test.json", json.dumps(record, indent=2) + "\n")
+        draw(results, options.report / "tank_at_test.png")
+
+
+def draw(results: list[dict[str, Any]], path: Path) -> None:
+    """Success of each policy by capacity and by power limit."""
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    for axes, (varied, label) in zip(
+        figure.subplots(1, 2, sharey=True), (("e_max", "capacity [J]"), ("p_max", "power limit [W]")), strict=True
+    ):
+        for name in dict.fromkeys(row["actor"] for row in results):
+            rows = [row for row in results if row["varied"] == varied and row["actor"] == name]
+            x, y = ([row[key] for row in rows] for key in (varied, "success"))
+            axes.plot(x, y, marker="o", ms=4, label=name)
+            axes.fill_between(x, [row["low"] for row in rows], [row["high"] for row in rows], alpha=0.2)
+        axes.axvline({"e_max": 1.5, "p_max": 2.0}[varied], color="grey", ls="--", lw=1, label="trained with")
+        axes.set_xlabel(label)
+        axes.grid(alpha=0.3)
+    figure.axes[0].set_ylabel("success [0-1]")
+    figure.axes[0].set_ylim(0, 1)
+    figure.axes[1].legend(loc="lower right")
+    save_figure(figure, path)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
