@@ -85,7 +85,7 @@ def shared() -> Shared:
 def train(run_dir: Path, budget: int, resume: bool) -> None:
     """A tiny training that writes a checkpoint after each batch."""
     ppo = PPOConfig(total_control_steps=budget, epochs=1, minibatches=1, checkpoint_every=1)
-    tiny = RECIPE.config(num_envs=2, num_threads=1, duration=0.1, physics_dt=0.005, batch_steps=10, ppo=ppo)
+    tiny = RECIPE.config(num_envs=2, num_threads=1, duration=0.1, physics_dt=0.005, hold_steps=1, ppo=ppo)
     RECIPE.train(replace(tiny, run_dir=run_dir, resume=resume))
 
 

@@ -80,7 +80,7 @@ _NUMBERS = [
     _cli("study push --episodes -1", "episodes is -1; expected a whole number"),
     _cli("study push --eval-seed -1", "eval_seed is -1; expected a whole number"),
     _cli("study push --num-envs 0", "num_envs is 0; expected a whole number"),
-    _cli("train s_push --goal angle", "goal.*angle.*"),
+    _cli("train s_push --goal angle", "invalid choice .angle. for argument .--goal"),
     _cli("train s_push --hold-steps 0", "hold_steps is 0; expected"),
     _cli("train s_push --smoothing 1", "smoothing is 1.0; expected"),
     _cli("train ppt_push --counter-turn 9", "counter_turn is 9.0; expected"),
