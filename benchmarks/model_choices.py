@@ -41,7 +41,7 @@ class Config:
 
 def reference_env(run: Config, promp: Any) -> TransformedEnv:
     """PPT's chain in fresh episodes."""
-    config = RECIPE.config(goal="position", num_threads=run.num_threads)
+    config = RECIPE.config(goal="position", num_basis=8, num_threads=run.num_threads)
     env = RECIPE.make_env(config, {"promp": promp}, num_envs=run.episodes, seed=run.seed)
     base = env.base_env
     base.randomisation = replace(base.randomisation, box_yaw=(-run.box_yaw, run.box_yaw))
@@ -50,7 +50,7 @@ def reference_env(run: Config, promp: Any) -> TransformedEnv:
 
 def main(run: Config) -> None:
     """Measure and print."""
-    promp = fit_push_prior(RECIPE.make_modules(RECIPE.config(goal="position"))["promp"])
+    promp = fit_push_prior(RECIPE.make_modules(RECIPE.config(goal="position", num_basis=8))["promp"])
 
     def still(tensordict: Any) -> Any:
         return tensordict.set("action", torch.zeros(run.episodes, promp.num_basis * promp.num_dof))

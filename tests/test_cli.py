@@ -14,7 +14,7 @@ from ppt_rl.recipes.ppo_ppt_push import Config
 from ppt_rl.training import with_settings
 from ppt_rl.training.logs import read_scalar
 
-QUICK = ("physics_dt=0.002", "duration=3.0")
+QUICK = ("physics_dt=0.002", "duration=1.5")
 
 
 def command(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
