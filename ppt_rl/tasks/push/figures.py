@@ -32,7 +32,8 @@ def draw_push_episode(policy: Policy, env: PushEnv, episode: TensorDictBase, pat
         path: path of the picture.
     """
     arrays = {key: value.double().numpy() for key, value in episode["trace"].items()}
-    arrays |= {key: episode[key].double().numpy() for key in ("goal", "box_size", "via_position")}
+    known = ("goal", "box_size", "via_position", *(["goal_yaw"] if "goal_yaw" in episode.keys() else []))
+    arrays |= {key: episode[key].double().numpy() for key in known}
     config = policy.config
     e_max = config.e_max if policy.recipe.has_tank else None
     plot_push_episode(arrays, path, p_max=config.p_max, e_max=e_max, dt=config.control_dt)
@@ -46,7 +47,7 @@ def plot_push_episode(
     Args:
         episode: arrays over T control steps: ``pose`` (T, 7), ``box_pose`` (T, 7), ``power`` (T, 1), and where there is
             a tank ``tank_energy`` (T, 1) and ``valve`` (T, 1); and ``goal`` (2,), ``box_size`` (1,), ``via_position``
-            (M, 3).
+            (M, 3), and where the goal has one ``goal_yaw`` (1,).
         path: path of the picture.
         p_max: power limit [W].
         e_max: tank capacity [J]; None where there is no tank.
@@ -85,6 +86,11 @@ def _draw_scene(axes: Axes, episode: Mapping[str, Array]) -> None:
         axes.plot(bar[:, 0], bar[:, 1], color=_BLUE, lw=2.5, alpha=alpha, solid_capstyle="round")
     axes.plot(tool[:, 0], tool[:, 1], color=_BLUE, lw=1, label="tool")
     axes.plot(box[:, 0], box[:, 1], color=_ORANGE, lw=1, label="box")
+    if "goal_yaw" in episode:
+        yaw = float(episode["goal_yaw"][0])
+        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        outline = corners @ turn.T + episode["goal"]
+        axes.add_patch(Polygon(outline, closed=True, fill=False, ec=_GREEN, lw=1.5, ls="--", label="pose of the goal"))
     via = episode["via_position"]
     axes.plot(via[:, 0], via[:, 1], "x", color="black", ms=8, mew=2, label="via-points")
     axes.add_patch(Circle(tuple(episode["goal"]), 0.02, color=_GREEN, alpha=0.5, label="goal, 2 cm"))
