@@ -41,7 +41,7 @@ def moving_average(values: Array, window: int) -> Array:
 
 
 def plot_training(run_dir: Path, path: Path, *, p_max: float | None = None, window: int = 5) -> None:
-    """Success and max power against control steps.
+    """Success and max power against control steps: of the exploring policy, and of the validated one.
 
     Args:
         run_dir: directory of the run.
@@ -53,8 +53,12 @@ def plot_training(run_dir: Path, path: Path, *, p_max: float | None = None, wind
     left, right = figure.subplots(1, 2)
     for axes, (name, factor, label) in zip((left, right), CURVES, strict=True):
         steps, values = read_scalar(run_dir, name)
-        axes.plot(steps / 1e6, factor * values, color=_BLUE, alpha=0.25, lw=1, label="batch")
-        axes.plot(steps / 1e6, factor * moving_average(values, window), color=_BLUE, lw=2, label=f"mean of {window}")
+        axes.plot(steps / 1e6, factor * values, color=_BLUE, alpha=0.25, lw=1)
+        label_of_mean = f"exploring, mean of {window} batches"
+        axes.plot(steps / 1e6, factor * moving_average(values, window), color=_BLUE, lw=2, label=label_of_mean)
+        if (run_dir / "logs" / "csv" / "scalars" / f"validation_{name}.csv").exists():
+            steps, values = read_scalar(run_dir, f"validation_{name}")
+            axes.plot(steps / 1e6, factor * values, color=_GREEN, marker="o", ms=4, label="without exploration")
         axes.set_xlabel("control steps [million]")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
@@ -65,7 +69,6 @@ def plot_training(run_dir: Path, path: Path, *, p_max: float | None = None, wind
         right.set_ylim(0, 1.1 * p_max)
     left.legend(loc="lower right")
     right.legend(loc="best")
-    figure.suptitle("Training with the exploring policy")
     save_figure(figure, path)
 
 

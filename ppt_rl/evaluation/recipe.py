@@ -17,11 +17,13 @@ from torch import nn
 from torchrl.envs import Compose, Transform, TransformedEnv
 
 from ppt_rl.envs import ArmEnv
+from ppt_rl.evaluation.episodes import run_episodes
 from ppt_rl.evaluation.task import Task
 from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.training import (
     CheckpointMismatch,
     Learners,
+    Validation,
     options_to_resume,
     prepare_torch,
     run_script,
@@ -31,6 +33,8 @@ from ppt_rl.training import (
 __all__ = ["Recipe", "find_recipe", "shipped_recipes"]
 
 _PACKAGE, _PREFIX = "ppt_rl.recipes", "ppo_"
+#: Seed of the episodes of a validation: neither training nor a reported evaluation takes it.
+_VALIDATION_SEED = 30_000
 
 
 def _no_modules(config: Any) -> dict[str, nn.Module]:
@@ -146,7 +150,24 @@ class Recipe:
         base = self.task.make_training_env(config, num_envs=config.num_envs, seed=config.seed, audit=False)
         env = self.on(base, config, modules)
         learners = Learners(*self.make_policy(config, env), extra=modules)
-        return train_in_run_dir(config, env, learners, policy_steps=config.batch_steps, identity=self.identity)
+        return train_in_run_dir(
+            config, env, learners, policy_steps=config.batch_steps, identity=self.identity,
+            validation=self._validation(config, modules, learners.actor),
+        )  # fmt: skip
+
+    def _validation(self, config: Any, modules: Mapping[str, nn.Module], actor: nn.Module) -> Validation | None:
+        """Validation in episodes of the test, the same ones every time."""
+        if not config.validate_every:
+            return None
+        episodes = config.validation_episodes or config.num_envs
+        env = self.make_env(config, modules, num_envs=min(episodes, config.num_envs), seed=_VALIDATION_SEED)
+
+        def measure() -> dict[str, float]:
+            env.set_seed(_VALIDATION_SEED)
+            rows = run_episodes(env, actor, episodes)
+            return {f"validation_{name}": float(rows[name].mean()) for name in ("success", "max_power")}
+
+        return Validation(measure, config.validate_every)
 
     def main(self, args: Sequence[str] | None = None, prog: str | None = None) -> None:
         """Train with the options of a command line: what the recipe does as a script.

@@ -8,7 +8,7 @@ import json
 import shutil
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,10 +23,10 @@ from ppt_rl.evaluation.policy import Policy, restored_config
 from ppt_rl.evaluation.recipe import Recipe
 from ppt_rl.evaluation.statistics import distribution
 from ppt_rl.evaluation.tables import as_csv, from_csv
-from ppt_rl.training import CheckpointMismatch
+from ppt_rl.training import VALIDATED, CheckpointMismatch
 from ppt_rl.training.logs import read_scalar, write_bytes_atomically, write_text_atomically
 
-__all__ = ["KeptRun", "curves_csv", "keep_run"]
+__all__ = ["KeptRun", "curves_csv", "keep_run", "validation_csv"]
 
 Array = NDArray[np.float64]
 _Content = TypeVar("_Content")
@@ -36,6 +36,8 @@ _UNREADABLE = (OSError, ValueError, EOFError, zlib.error, zipfile.BadZipFile)
 _JUDGED = ("episodes", "eval_seed", "groups", "summary")
 #: Logged scalars that are kept.
 _CURVES = (*COLUMNS, "max_power_measured", "work", "reward", "kl", "seconds")
+#: Scalars of a validation that are kept, by their names here.
+_VALIDATED = {name.removeprefix("validation_"): name for name in VALIDATED}
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,15 @@ class KeptRun:
         return restored_config(self.recipe, _record(path, ("config",))["config"], path)
 
     def curves(self) -> dict[str, Array]:
-        """Logged scalars by name, and ``control_steps``."""
+        """Logged scalars of every batch by name, and ``control_steps``."""
         return _read(self.results / "curves.csv", lambda data: from_csv(data.decode()))
+
+    def validation(self) -> dict[str, Array]:
+        """``control_steps``, ``success`` and ``max_power`` of every validation; empty arrays where there was none."""
+        path = self.results / "validation.csv"
+        if not path.exists():
+            return {name: np.zeros(0) for name in ("control_steps", *_VALIDATED)}
+        return _read(path, lambda data: from_csv(data.decode()))
 
     def actors(self) -> list[str]:
         """Who was judged: the variant first, then baselines."""
@@ -157,6 +166,8 @@ def keep_run(run: KeptRun, policy: Policy, *, episodes: int, seed: int, num_envs
     run.write_episodes(evaluation)
     write_bytes_atomically(run.results / "rollouts.npz", _recorded(policy, seed))
     write_text_atomically(run.results / "curves.csv", curves_csv(run.run_dir))
+    if policy.config.validate_every:
+        write_text_atomically(run.results / "validation.csv", validation_csv(run.run_dir))
     shutil.copyfile(run.run_dir / "config.json", run.results / "config.json")
     rows = evaluation.rows
     record = {
@@ -177,8 +188,25 @@ def curves_csv(run_dir: Path) -> str:
     Returns:
         The text.
     """
-    steps, _ = read_scalar(run_dir, "success")
-    table = {name: dict(zip(*read_scalar(run_dir, name), strict=True)) for name in _CURVES}
+    return _scalars_csv(run_dir, {"success": "success", **{name: name for name in _CURVES}})
+
+
+def validation_csv(run_dir: Path) -> str:
+    """Scalars of the validations as CSV, a row for each.
+
+    Args:
+        run_dir: directory of a trained run.
+
+    Returns:
+        The text.
+    """
+    return _scalars_csv(run_dir, _VALIDATED)
+
+
+def _scalars_csv(run_dir: Path, names: Mapping[str, str]) -> str:
+    """Logged scalars by the names they get: a row for each step of the first one."""
+    table = {name: dict(zip(*read_scalar(run_dir, logged), strict=True)) for name, logged in names.items()}
+    steps = next(iter(table.values()))
     return as_csv([{"control_steps": step, **{name: values[step] for name, values in table.items()}} for step in steps])
 
 

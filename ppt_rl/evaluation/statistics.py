@@ -14,7 +14,7 @@ from scipy import stats
 from ppt_rl.evaluation.columns import COLUMNS, POWER_AND_WORK, Column
 from ppt_rl.functional.argument_checks import shown
 
-__all__ = ["Claim", "distribution", "interquartile_mean", "interval", "judge", "over_seeds", "summarise"]
+__all__ = ["Claim", "distribution", "interval", "judge", "over_seeds", "summarise"]
 
 Array = NDArray[Any]
 
@@ -92,21 +92,6 @@ def distribution(rows: Mapping[str, Array], names: Iterable[str] = POWER_AND_WOR
     }
 
 
-def interquartile_mean(values: Sequence[float] | Array) -> float:
-    """Interquartile mean: the mean after removing the lowest and the highest quarter.
-
-    Args:
-        values: at least one; with fewer than four, none is removed.
-
-    Returns:
-        The mean.
-
-    Raises:
-        ValueError: if there is no value, or one is not finite.
-    """
-    return float(stats.trim_mean(_values("values", values), 0.25))
-
-
 def over_seeds(values: Sequence[float] | Array) -> dict[str, Any]:
     """Mean over seeds with its standard error and 95 % interval (Student's).
 
@@ -114,14 +99,14 @@ def over_seeds(values: Sequence[float] | Array) -> dict[str, Any]:
         values: one per seed.
 
     Returns:
-        ``mean``, ``se``, ``ci95`` (``[low, high]``), ``iqm``, ``seeds``; with one seed, error and interval are None.
+        ``mean``, ``se``, ``ci95`` (``[low, high]``), ``seeds``; with one seed, error and interval are None.
 
     Raises:
         ValueError: if there is no value, or one is not finite.
     """
     data = _values("values", values)
     count, mean = len(data), float(data.mean())
-    summary: dict[str, Any] = {"mean": mean, "se": None, "ci95": None, "iqm": interquartile_mean(data), "seeds": count}
+    summary: dict[str, Any] = {"mean": mean, "se": None, "ci95": None, "seeds": count}
     if count > 1:
         error = float(data.std(ddof=1)) / math.sqrt(count)
         half = float(stats.t.ppf(0.975, count - 1)) * error

@@ -1,4 +1,4 @@
-"""Figures of a comparison: curves over seeds, boxes over episodes, the movement primitive, tanks, film strips."""
+"""Figures of a comparison: boxes over episodes, the movement primitive, tanks, film strips."""
 
 from __future__ import annotations
 
@@ -11,56 +11,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ppt_rl.evaluation.figures import CURVES, moving_average, save_figure
+from ppt_rl.evaluation.figures import save_figure
 from ppt_rl.functional.promp import Gaussian
 from ppt_rl.modules.promp import ProMP
 
-__all__ = ["VARIANT_COLORS", "plot_boxes", "plot_curves", "plot_filmstrip", "plot_promp", "plot_sweep", "plot_tanks"]
+__all__ = ["GREY", "VARIANT_COLORS", "plot_boxes", "plot_filmstrip", "plot_promp", "plot_sweep", "plot_tanks"]
 
 Array = NDArray[np.float64]
 #: One colour per variant; the palette suits colour-blind readers.
 VARIANT_COLORS = {"PP": "#e69f00", "PPT": "#0072b2", "S": "#cc79a7", "ST": "#009e73"}
-_GREY = "#8a8f98"
-
-
-def plot_curves(
-    curves: Mapping[str, Sequence[tuple[Array, Mapping[str, Array]]]],
-    path: Path,
-    *,
-    p_max: float,
-    window: int = 3,
-) -> None:
-    """Success and max power against control steps: mean over seeds and its standard error.
-
-    Args:
-        curves: by variant, for each seed the control steps ``(T,)`` and the scalars ``success`` and ``max_power``.
-        path: path of the picture.
-        p_max: power limit to draw [W].
-        window: length of the moving average [batches].
-    """
-    figure = Figure(figsize=(11, 4), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for axes, (name, factor, label) in zip((left, right), CURVES, strict=True):
-        for variant, seeds in curves.items():
-            length = min(len(steps) for steps, _ in seeds)
-            steps = seeds[0][0][:length] / 1e6
-            smooth = np.stack([factor * moving_average(values[name][:length], window) for _, values in seeds])
-            mean, color = smooth.mean(0), VARIANT_COLORS.get(variant, _GREY)
-            count = f"{len(seeds)} seed{'s' if len(seeds) > 1 else ''}"
-            axes.plot(steps, mean, color=color, lw=2, label=f"{variant} ({count})")
-            if len(seeds) > 1:
-                error = smooth.std(0, ddof=1) / np.sqrt(len(seeds))
-                axes.fill_between(steps, mean - error, mean + error, color=color, alpha=0.2, lw=0)
-        axes.set_xlabel("control steps [million]")
-        axes.set_ylabel(label)
-        axes.grid(alpha=0.3)
-    left.set_ylim(0, 102)
-    right.set_yscale("log")
-    right.axhline(p_max, color="black", ls="--", lw=1.2, label="limit of the tank")
-    handles, names = right.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=len(names))
-    figure.suptitle(f"Training, exploring policy: mean of {window} batches, band of one standard error over seeds")
-    save_figure(figure, path)
+#: Colour of everything else.
+GREY = "#8a8f98"
 
 
 def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, str], path: Path) -> None:
@@ -83,7 +44,7 @@ def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, st
             medianprops={"color": "black"},
         )
         for patch, variant in zip(drawn["boxes"], rows, strict=True):
-            patch.set(facecolor=VARIANT_COLORS.get(variant, _GREY), alpha=0.7)
+            patch.set(facecolor=VARIANT_COLORS.get(variant, GREY), alpha=0.7)
         axes.set_ylabel(label)
         medians = [np.median(values[name]) for values in rows.values()]
         if min(medians) > 0 and max(medians) > 20 * min(medians):
@@ -107,7 +68,7 @@ def plot_promp(
         samples: number of samples along the phase.
     """
     phase = torch.linspace(0.0, 1.0, samples, dtype=torch.float64)
-    curves = [(promp.prior, _GREY, "prior")]
+    curves = [(promp.prior, GREY, "prior")]
     if via is not None:
         at, position, cov = (via[key].double() for key in ("via_phase", "via_position", "via_cov"))
         curves.append((promp.posterior(at, position, cov), VARIANT_COLORS["PPT"], "posterior"))
@@ -215,11 +176,11 @@ def plot_sweep(
     figure = Figure(figsize=(3.6 * len(curves), 3.6), layout="constrained")
     for axes, (quantity, actors) in zip(np.atleast_1d(figure.subplots(1, len(curves))), curves.items(), strict=True):
         if quantity in usual:
-            axes.axvspan(*usual[quantity], color=_GREY, alpha=0.15, lw=0)
+            axes.axvspan(*usual[quantity], color=GREY, alpha=0.15, lw=0)
         for name, (values, rates, intervals) in actors.items():
             low, high = np.asarray(intervals, dtype=float).T
             error = 100 * np.abs(np.stack([np.asarray(rates) - low, high - np.asarray(rates)]))
-            color = VARIANT_COLORS.get(name, _GREY)
+            color = VARIANT_COLORS.get(name, GREY)
             rate = 100 * np.asarray(rates)
             axes.errorbar(values, rate, yerr=error, color=color, marker="o", ms=4, capsize=2, label=name)
         axes.set_xlabel(quantity)

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ppt_rl.evaluation.curve_figures import TrainingCurve, plot_curves
 from ppt_rl.evaluation.judge import ALL
 from ppt_rl.evaluation.runs import KeptRun
-from ppt_rl.evaluation.statistics import distribution, interval, judge, over_seeds, summarise
-from ppt_rl.evaluation.study_figures import plot_boxes, plot_curves, plot_tanks
+from ppt_rl.evaluation.seed_tables import by_seed, improvement, orderings, over_seeds_table
+from ppt_rl.evaluation.statistics import distribution, interval, summarise
+from ppt_rl.evaluation.study_figures import plot_boxes, plot_tanks
 from ppt_rl.evaluation.tables import markdown, mean_and_interval, power_table
 from ppt_rl.evaluation.task import Report
 from ppt_rl.training.logs import write_text_atomically
@@ -23,14 +24,9 @@ __all__ = ["by_label", "write_report"]
 Array = NDArray[np.float64]
 Groups = Mapping[str, Sequence[KeptRun]]
 Table = dict[str, Array]
-_SEEDS = "Mean over seeds ± standard error (95 % interval over seeds); interquartile mean."
 _EPISODES = "All episodes of all seeds; mean (95 % interval over episodes: Wilson's for rates, else Student's)."
 _AUDIT = "All episodes; `audit` is measured over every physics substep."
 _PAIRED = "{} less the others in the same episode; mean over episodes, each averaged over the seeds (95 % interval)."
-_ORDERINGS = (
-    "Intervals: Welch's for a difference of means over seeds (left minus right), from the F distribution for a ratio "
-    "of standard deviations. `not resolved`: the interval contains the value of no difference."
-)
 
 
 def by_label(runs: Sequence[KeptRun]) -> dict[str, list[KeptRun]]:
@@ -57,22 +53,25 @@ def write_report(runs: Sequence[KeptRun], directory: Path) -> None:
     groups, task = by_label(runs), runs[0].recipe.task
     tables = _tables(groups)
     pooled = {name: _pooled(parts) for name, parts in tables.items()}
-    over, numbers = _over_seeds(groups, task.report)
-    orderings, verdicts = _orderings(groups, task.report)
+    over, numbers = over_seeds_table(groups, task.report)
+    ordered, verdicts = orderings(groups, task.report)
     sections = {
-        "Metrics over seeds": f"{_SEEDS}\n\n{over}",
+        "Metrics over seeds": over,
         "Metrics over episodes": f"{_EPISODES}\n\n{_over_episodes(pooled, task.report)}",
         "Power and work": f"{_AUDIT}\n\n{_power(pooled)}",
         "Episode by episode": _differences(tables, task.report),
-        "By seed": _by_seed(groups, task.report),
+        "By seed": by_seed(groups, task.report),
     }
+    improved, probabilities = improvement(groups)
+    if probabilities:
+        sections["Probability of improvement"] = improved
     if verdicts:
-        sections["The paper's orderings"] = orderings
+        sections["The paper's orderings"] = ordered
     text = "\n\n".join(f"## {title}\n\n{body}" for title, body in sections.items())
     write_text_atomically(directory / "tables.md", f"# Tables\n\n{_head(groups)}\n\n{text}\n")
     seeds = {label: len(part) for label, part in groups.items()}
     summary = {
-        "seeds": seeds, "metrics": numbers, "orderings": verdicts,
+        "seeds": seeds, "metrics": numbers, "improvement": probabilities, "orderings": verdicts,
         "episodes": {name: summarise(rows, task.report.columns) for name, rows in pooled.items()},
     }  # fmt: skip
     write_text_atomically(directory / "summary.json", json.dumps(summary, indent=2) + "\n")
@@ -104,38 +103,6 @@ def _tables(groups: Groups) -> dict[str, list[Table]]:
 
 def _pooled(tables: Sequence[Table]) -> Table:
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-
-
-def _seed_means(run: KeptRun, metric: str) -> dict[str, float]:
-    """A metric's mean in each group of episodes, and over the groups."""
-    names, rows = run.evaluation()["groups"], run.episodes()
-    means = {name: float(rows[metric][rows["group"] == index].mean()) for index, name in enumerate(names)}
-    return means | {ALL: float(np.mean(list(means.values())))}
-
-
-def _over_seeds(groups: Groups, report: Report) -> tuple[str, dict[str, Any]]:
-    """Markdown table and numbers: every metric over seeds, by group of episodes and over all."""
-    numbers: dict[str, Any] = {label: {} for label in groups}
-    lines = []
-    for metric, column in report.columns.items():
-        means = {label: [_seed_means(run, metric) for run in runs] for label, runs in groups.items()}
-        for group in next(iter(means.values()))[0]:
-            cells = []
-            for label, values in means.items():
-                summary = over_seeds([value[group] for value in values])
-                if column.unit == "0-1" and summary["ci95"] is not None:
-                    summary["ci95"] = np.clip(summary["ci95"], 0.0, 1.0).tolist()
-                numbers[label].setdefault(metric, {})[group] = summary
-                cells.append(_seeds_cell(summary))
-            lines.append([f"{metric} [{column.unit}]", group, *cells])
-    return markdown(["metric", "episodes", *groups], lines), numbers
-
-
-def _seeds_cell(summary: Mapping[str, Any]) -> str:
-    if summary["ci95"] is None:
-        return f"{summary['mean']:.3f}"
-    low, high = summary["ci95"]
-    return f"{summary['mean']:.3f} ± {summary['se']:.3f} ({low:.3f}, {high:.3f}); {summary['iqm']:.3f}"
 
 
 def _over_episodes(pooled: Mapping[str, Table], report: Report) -> str:
@@ -175,42 +142,11 @@ def _differences(tables: Mapping[str, Sequence[Table]], report: Report) -> str:
     return f"{_PAIRED.format(first)}\n\n{markdown(['metric', *(name for name, _ in others)], lines)}"
 
 
-def _by_seed(groups: Groups, report: Report) -> str:
-    lines = [
-        [f"{label}, seed {run.seed}", *(f"{_seed_means(run, metric)[ALL]:.3f}" for metric in report.columns)]
-        for label, runs in groups.items()
-        for run in runs
-    ]
-    return markdown(["run", *report.columns], lines)
-
-
-def _orderings(groups: Groups, report: Report) -> tuple[str, list[dict[str, Any]]]:
-    """Markdown table and verdicts on the claimed orderings."""
-    lines, verdicts = [], []
-    for claim in report.claims:
-        if claim.better not in groups or claim.worse not in groups:
-            continue
-        values = {
-            name: [_seed_means(run, claim.metric)[ALL] for run in groups[name]] for name in (claim.better, claim.worse)
-        }
-        verdict = judge(claim, values)
-        what = f"spread of {claim.metric} over seeds" if claim.spread else claim.metric
-        claimed = f"{what}: {claim.better} {'>' if claim.higher_is_better else '<'} {claim.worse}"
-        between = "-" if verdict["ci95"] is None else f"({verdict['ci95'][0]:.3g}, {verdict['ci95'][1]:.3g})"
-        figures = f"{verdict['better']:.3g} against {verdict['worse']:.3g}"
-        lines.append([claimed, verdict["verdict"], figures, between])
-        verdicts.append({"claim": claimed, **verdict})
-    table = markdown(["the paper says", "here", "figures", "95 % interval"], lines)
-    return f"{_ORDERINGS}\n\n{table}", verdicts
-
-
 def _draw(groups: Groups, pooled: Mapping[str, Table], directory: Path) -> None:
     """The figures of every task, then those of this one."""
     first = next(iter(groups.values()))[0]
     task = first.recipe.task
-    curves = {
-        label: [(c["control_steps"], c) for c in (run.curves() for run in runs)] for label, runs in groups.items()
-    }
+    curves = {label: [TrainingCurve(run.curves(), run.validation()) for run in runs] for label, runs in groups.items()}
     plot_curves(curves, directory / "training.png", p_max=first.config().p_max)
     for index, group in enumerate(first.evaluation()["groups"]):
         rows = {

@@ -10,14 +10,17 @@ from ppt_rl.training.progress import TrainingRun
 from ppt_rl.training.resume import options_to_resume
 from ppt_rl.training.run import Learners, train_in_run_dir
 from ppt_rl.training.script import run_script
+from ppt_rl.training.validation import VALIDATED, Validation
 
 __all__ = [
+    "VALIDATED",
     "CheckpointMismatch",
     "Learners",
     "PPOConfig",
     "RunConfig",
     "TrainingDiverged",
     "TrainingRun",
+    "Validation",
     "as_json",
     "checkpoint_info",
     "find_checkpoint",

@@ -94,7 +94,7 @@ def _trimmed(path: Path, last_step: int) -> dict[int, str]:
     remove_drafts(path)
     lines = path.read_text(errors="replace").splitlines(keepends=True)
     whole = [match.groups() for match in map(_LINE.fullmatch, lines) if match]
-    values = {int(step): value for step, value in whole if int(step) <= last_step}
+    values = {int(step): value for step, value in whole if 0 < last_step >= int(step)}
     if values:
         write_text_atomically(path, "".join(f"{step},{value}\n" for step, value in values.items()))
     else:

@@ -50,9 +50,11 @@ def train_ppo(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: T
     interrupt = Interrupt()
     try:
         progress.start_clock()
+        if progress.batches == 0:
+            logs.write(progress.validate(), 0)
         while progress.control_steps < budget and interrupt.requested is None:
             scalars = progress.learn(next(batches))
-            logs.write(scalars, progress.control_steps)
+            logs.write(scalars | progress.validate(), progress.control_steps)
             with despite_closed_output():
                 bar.update(progress.control_steps - bar.n)
                 bar.set_postfix(progress.shown())

@@ -19,6 +19,7 @@ from ppt_rl.training.batches import batch_statistics, control_steps
 from ppt_rl.training.checkpoint import all_checkpoints, load_checkpoint, save_checkpoint
 from ppt_rl.training.finite import TrainingDiverged, first_not_finite
 from ppt_rl.training.ppo import Learner, PPOConfig
+from ppt_rl.training.validation import Validation
 
 __all__ = ["Progress", "TrainingRun"]
 
@@ -37,6 +38,7 @@ class TrainingRun:
         metadata: JSON data saved in every checkpoint: at least ``variant`` and ``config``.
         extra: further modules to save, by name.
         resume_from: checkpoint to continue from; None starts afresh.
+        validation: when and how the policy is validated; None does without.
     """
 
     ppo: PPOConfig
@@ -45,6 +47,7 @@ class TrainingRun:
     metadata: Mapping[str, Any]
     extra: Mapping[str, nn.Module] = field(default_factory=dict)
     resume_from: Path | None = None
+    validation: Validation | None = None
 
 
 class Progress:
@@ -119,6 +122,15 @@ class Progress:
         self.batches += 1
         self.seconds = scalars["seconds"] = time.perf_counter() - self._started
         return scalars
+
+    def validate(self) -> dict[str, float]:
+        """Validate the policy where that is due.
+
+        Returns:
+            Scalars to log, by name; none where it is not due.
+        """
+        validation = self._run.validation
+        return dict(validation.measure()) if validation is not None and validation.due(self.batches) else {}
 
     def shown(self) -> dict[str, str]:
         """Figures beside the progress bar.

@@ -17,6 +17,7 @@ from ppt_rl.training.logs import save_config
 from ppt_rl.training.loop import train_ppo
 from ppt_rl.training.networks import begin_norms
 from ppt_rl.training.progress import TrainingRun
+from ppt_rl.training.validation import Validation
 
 __all__ = ["Learners", "train_in_run_dir"]
 
@@ -40,8 +41,9 @@ class Learners:
 
 
 def train_in_run_dir(
-    config: RunConfig, env: EnvBase, learners: Learners, *, policy_steps: int, identity: Mapping[str, str]
-) -> Path:
+    config: RunConfig, env: EnvBase, learners: Learners, *, policy_steps: int, identity: Mapping[str, str],
+    validation: Validation | None = None,
+) -> Path:  # fmt: skip
     """Train in ``config.run_dir``: afresh, from its newest checkpoint that can be read, or from the one that is named.
 
     Args:
@@ -50,6 +52,7 @@ def train_in_run_dir(
         learners: networks and modules.
         policy_steps: policy steps of every environment in a batch: an episode, or a part of one.
         identity: what the checkpoints say of their origin: ``variant``, and ``recipe`` where it is a user's file.
+        validation: when and how the policy is validated; None does without.
 
     Returns:
         Path of the last checkpoint.
@@ -77,6 +80,7 @@ def train_in_run_dir(
             metadata={**identity, "config": settings},
             extra=learners.extra,
             resume_from=resume_from,
+            validation=validation,
         )
         return train_ppo(env, learners.actor, learners.critic, run)
 

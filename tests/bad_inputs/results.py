@@ -29,7 +29,7 @@ from ppt_rl.evaluation import (
 from ppt_rl.evaluation.drawing import film
 from ppt_rl.evaluation.figures import moving_average, plot_training
 from ppt_rl.evaluation.runs import KeptRun, curves_csv
-from ppt_rl.evaluation.statistics import interquartile_mean, judge, over_seeds
+from ppt_rl.evaluation.statistics import judge, over_seeds
 from ppt_rl.evaluation.tables import as_csv, from_csv, markdown
 from ppt_rl.evaluation.video import write_video
 from ppt_rl.training.logs import read_scalar
@@ -149,7 +149,6 @@ _STATISTICS = [
     bad(summarise, r"rows lack \['success', .*; expected", {}),
     bad(distribution, r"rows lack \['work'\]; expected", {"max_power": np.ones(3)}, ["max_power", "work"]),
     bad(distribution, "values of work are empty; expected", {"work": _NONE}, ["work"]),
-    bad(interquartile_mean, "values are empty; expected at least one", []),
     bad(over_seeds, "values are empty; expected at least one", []),
     bad(judge, r"values lack \['ST'\]; expected", Claim("success", "PPT", "ST", True), {"PPT": [1.0]}),
     bad(judge, "values of 'ST' are empty; expected", Claim("success", "PPT", "ST", True), {"PPT": [1.0], "ST": []}),

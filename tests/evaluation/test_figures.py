@@ -22,9 +22,12 @@ def test_training_curves_are_drawn_from_the_logs(tmp_path):
     logs = RunLogs(tmp_path)
     for step in range(1, 6):
         logs.write({"success": 0.1 * step, "max_power": 2.0 - 0.1 * step}, step * 100)
-    logs.close()
     plot_training(tmp_path, tmp_path / "training.png", p_max=2.0)
     assert (tmp_path / "training.png").stat().st_size > 10_000
+    logs.write({"validation_success": 0.5, "validation_max_power": 1.5}, 200)
+    logs.close()
+    plot_training(tmp_path, tmp_path / "validated.png", p_max=2.0)
+    assert (tmp_path / "validated.png").read_bytes() != (tmp_path / "training.png").read_bytes()
 
 
 def test_logs_after_the_checkpoint_are_dropped_when_a_run_goes_on(tmp_path):

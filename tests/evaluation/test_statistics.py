@@ -4,17 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ppt_rl.evaluation.statistics import Claim, interquartile_mean, judge, over_seeds
+from ppt_rl.evaluation.statistics import Claim, judge, over_seeds
 
 GENERATOR = np.random.default_rng(0)
-
-
-def test_the_interquartile_mean_of_eight_is_the_mean_of_the_middle_four():
-    assert interquartile_mean([100.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -50.0]) == pytest.approx((2 + 3 + 4 + 5) / 4)
-
-
-def test_with_three_seeds_the_interquartile_mean_is_the_mean():
-    assert interquartile_mean([1.0, 2.0, 6.0]) == pytest.approx(3.0)
 
 
 def test_the_interval_over_seeds_is_students():

@@ -56,6 +56,7 @@ def test_a_study_leaves_tables_figures_and_policies_of_every_variant(finished):
         "naive reference, PP",
         "naive reference, PPT",
     }
+    assert summary["improvement"]["PPT > ST"]["ci95"] is None
     assert {verdict["verdict"] for verdict in summary["orderings"]} == {"not resolved"}  # one seed
     for run in finished.planned():
         assert (finished.publish / run.recipe.variant / "policy.safetensors").exists()
@@ -72,6 +73,13 @@ def test_the_tables_can_be_recomputed_from_the_episodes(finished):
             for metric in COLUMNS:
                 mean = record["summary"][run.recipe.variant][label][metric]["mean"]
                 assert mean == pytest.approx(episodes[metric][rows].mean())
+
+
+def test_the_validations_of_a_run_are_kept_with_its_curves(finished):
+    for run in finished.planned():
+        validation = run.validation()
+        assert validation["control_steps"].tolist() == [0.0]  # three batches are less than the fourteen between two
+        assert validation["max_power"][0] > 0
 
 
 def test_the_baselines_meet_the_episodes_of_the_policy(finished):

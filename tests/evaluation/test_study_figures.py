@@ -7,7 +7,6 @@ from ppt_rl.evaluation.figures import plot_calibration
 from ppt_rl.evaluation.study_figures import (
     _marginal,
     plot_boxes,
-    plot_curves,
     plot_filmstrip,
     plot_promp,
     plot_sweep,
@@ -20,15 +19,6 @@ GENERATOR = np.random.default_rng(0)
 
 def is_picture(path) -> bool:
     return path.read_bytes().startswith(b"\x89PNG") and path.stat().st_size > 5_000
-
-
-def test_curves_of_unequal_length_and_of_one_seed_are_drawn(tmp_path):
-    def seed(length: int):
-        steps = 100.0 * np.arange(1, length + 1)
-        return steps, {"success": GENERATOR.random(length), "max_power": 1.0 + GENERATOR.random(length)}
-
-    plot_curves({"PPT": [seed(9), seed(7)], "S": [seed(5)]}, tmp_path / "a.png", p_max=2.0)
-    assert is_picture(tmp_path / "a.png")
 
 
 def test_boxes_are_drawn_over_episodes(tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ppt_rl.recipes.ppo_ppt_push import RECIPE, Config
-from ppt_rl.training import CheckpointMismatch, PPOConfig, find_checkpoint
+from ppt_rl.training import VALIDATED, CheckpointMismatch, PPOConfig, find_checkpoint
 from ppt_rl.training.logs import read_scalar
 
 BATCH = 4 * 20  # control steps of a batch: environments times steps of an episode
@@ -45,6 +45,37 @@ def test_the_same_seed_gives_the_same_three_iterations_and_another_seed_others(t
         RECIPE.train(tiny(tmp_path / name, seed=seed))
     assert np.array_equal(scalars(tmp_path / "a"), scalars(tmp_path / "b"))
     assert not np.array_equal(scalars(tmp_path / "a"), scalars(tmp_path / "c"))
+
+
+def test_the_policy_is_validated_before_training_and_then_every_so_many_batches(tmp_path):
+    RECIPE.train(tiny(tmp_path, validate_every=2))
+    for name in VALIDATED:
+        assert read_scalar(tmp_path, name)[0].tolist() == [0, 2 * BATCH]
+
+
+def test_a_run_learns_the_same_with_and_without_validation(tmp_path):
+    for name, every in (("without", 0), ("with", 1)):
+        RECIPE.train(tiny(tmp_path / name, validate_every=every))
+    assert np.array_equal(scalars(tmp_path / "with"), scalars(tmp_path / "without"))
+    assert not (tmp_path / "without" / "logs" / "csv" / "scalars" / f"{VALIDATED[0]}.csv").exists()
+
+
+def test_every_validation_has_the_same_episodes(tmp_path):
+    config = tiny(tmp_path, validate_every=1, validation_episodes=6)
+    modules = RECIPE.make_modules(config)
+    RECIPE.fit(config, **modules)
+    actor, _ = RECIPE.make_policy(config, RECIPE.make_env(config, modules, num_envs=4))
+    first, second = (RECIPE._validation(config, modules, actor) for _ in range(2))
+    measured = first.measure()
+    assert measured["validation_max_power"] > 0
+    assert measured == first.measure() == second.measure()
+
+
+def test_a_run_that_goes_on_is_validated_at_the_same_batches(tmp_path):
+    config = tiny(tmp_path, validate_every=2)
+    RECIPE.train(replace(config, ppo=replace(config.ppo, total_control_steps=BATCH)))
+    RECIPE.train(replace(config, resume=True))
+    assert read_scalar(tmp_path, VALIDATED[0])[0].tolist() == [0, 2 * BATCH]
 
 
 @pytest.mark.parametrize("replan_steps", [5, 7])

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal, get_args
 
 import torch
 
-from ppt_rl.envs import MazeEnv, MazeRewards
+from ppt_rl.envs import MazeEnv, MazeRanges, MazeRewards, StraightRanges
+from ppt_rl.functional.argument_checks import shown
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.promp import ProMP
@@ -26,6 +27,8 @@ __all__ = [
     "maze_space",
 ]
 
+#: Where a maze policy trains.
+TrainingGround = Literal["corridors", "mazes"]
 #: Task-space coordinates in the maze; with a heading they are ahead, left and up.
 MAZE_AXES = ("x", "y", "z")
 #: How far the basis reaches beyond phase 0 and 1, so that it can represent a straight line without ripple; its overlap.
@@ -37,7 +40,8 @@ class MazeConfig(TaskConfig):
     """Options of every maze recipe.
 
     Attributes:
-        training_duration: episode length in the straight corridors of training [s]; ``duration`` is that of the test.
+        train_in: where a policy trains: in straight corridors, or in random mazes, other ones than those of the test.
+        training_duration: episode length in training [s]; ``duration`` is that of the test.
         posture_stiffness: stiffness of the arm's posture in the nullspace [N m/rad]; low, since the maze takes the arm
             far from its home.
         follower_speed: speed of the hand-written follower, which is the baseline and gives the demonstrations [m/s].
@@ -45,12 +49,16 @@ class MazeConfig(TaskConfig):
         e_max: capacity of the tank [J].
         cutoff: cutoff of the low-pass in the metrics of jerk and force [Hz].
         depth: distance of the reference below the tool, which presses it on the floor [m].
+        cruise: speed that the reward asks for [m/s].
         layouts: JSON files of mazes to be judged in, taken in turn; with none, mazes are drawn at random.
+        mazes: ranges of the random mazes.
+        corridors: ranges of the straight corridors.
     """
 
     run_dir: Path = Path("runs/maze")
     num_envs: int = 64
     duration: float = 20.0
+    train_in: TrainingGround = "corridors"
     training_duration: float = 6.0
     stiffness: float = 150.0
     posture_stiffness: float = 2.0
@@ -59,7 +67,10 @@ class MazeConfig(TaskConfig):
     e_max: float = 3.0
     cutoff: float = 10.0
     depth: float = 0.006
+    cruise: float = 0.0565
     layouts: tuple[Path, ...] = ()
+    mazes: MazeRanges = field(default_factory=MazeRanges)
+    corridors: StraightRanges = field(default_factory=StraightRanges)
     ppo: PPOConfig = field(
         default_factory=lambda: PPOConfig(total_control_steps=614_400, max_learning_rate=5e-4, gamma=0.998)
     )
@@ -72,12 +83,19 @@ class MazeConfig(TaskConfig):
         "cutoff": Bounds(1e-3, 1e4, "Hz"),
         "depth": Bounds(0.0, 1.0, "m"),
         "max_lead": Bounds(1e-6, 10.0, "m"),
+        "cruise": Bounds(1e-4, 10.0, "m/s"),
     }
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown training ground and numbers out of bounds."""
+        if self.train_in not in get_args(TrainingGround):
+            raise ValueError(f"train_in is {shown(self.train_in)}; expected one of {list(get_args(TrainingGround))}.")
+        super().__post_init__()
 
     @property
     def rewards(self) -> MazeRewards:
         """Weights of the reward groups."""
-        return MazeRewards()
+        return MazeRewards(cruise=self.cruise)
 
 
 @dataclass(frozen=True)

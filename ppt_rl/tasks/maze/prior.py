@@ -81,7 +81,8 @@ def fit_maze_prior(promp: ProMP, config: MazeConfig, *, num_corridors: int = 64,
         The primitive.
     """
     seconds = max(config.training_duration, _PRIMITIVES * promp.duration)
-    base = make_training_env(replace(config, training_duration=seconds), num_envs=num_corridors, seed=seed)
+    straight = replace(config, training_duration=seconds, train_in="corridors")
+    base = make_training_env(straight, num_envs=num_corridors, seed=seed)
     env = make_follower_env(config, base)
     steps = round(promp.duration / config.control_dt)
     position, heading, alive = _rollout(env, make_follower(config), _PRIMITIVES * steps)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
-from ppt_rl.envs import PushEnv, PushGoal, PushReference
+from ppt_rl.envs import PushEnv, PushGoal, PushRandomisation, PushReference
 from ppt_rl.functional.argument_checks import shown
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.tasks.config import TaskConfig, env_settings
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 else:  # a number that __post_init__ fills in where it is None
     ByGoal = float | None
 #: Defaults that depend on what has to be at the goal.
-_BY_GOAL = {"duration": {"pose": 1.5, "position": 3.0}, "e_max": {"pose": 1.5, "position": 3.0}}
+_BY_GOAL = {"duration": {"pose": 1.5, "position": 3.0}, "e_max": {"pose": 1.25, "position": 3.0}}
 
 
 def _ppo() -> PPOConfig:
@@ -44,6 +44,7 @@ class PushConfig(TaskConfig):
         counter_turn: share of the missing turn by which the reference approaches from the other side [-].
         box_sizes: edge lengths of the boxes to draw from [m].
         box_masses: mass of each of them [kg]; none takes the paper's, which has 0.06 m (50 g) and 0.08 m (80 g).
+        randomisation: ranges of what is drawn for each episode; wider ones make the task harder.
     """
 
     run_dir: Path = Path("runs/push")
@@ -53,6 +54,8 @@ class PushConfig(TaskConfig):
     counter_turn: float = 0.5
     box_sizes: tuple[float, ...] = (0.06, 0.08)
     box_masses: tuple[float, ...] = ()
+    randomisation: PushRandomisation = field(default_factory=PushRandomisation)
+    validate_every: int = 14
     ppo: PPOConfig = field(default_factory=_ppo)
 
     bounds: ClassVar[dict[str, Bounds]] = {"box_sizes": Bounds(1e-3, 1.0, "m"), "counter_turn": Bounds(-3.0, 3.0)}
@@ -170,6 +173,6 @@ def make_push_env(
     masses = config.box_masses or None
     reference = PushReference(counter_turn=config.counter_turn)
     return PushEnv(
-        goal=config.goal, box_sizes=config.box_sizes, box_masses=masses, reference=reference, duration=config.duration,
-        **settings,
+        goal=config.goal, box_sizes=config.box_sizes, box_masses=masses, randomisation=config.randomisation,
+        reference=reference, duration=config.duration, **settings,
     )  # fmt: skip

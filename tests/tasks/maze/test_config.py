@@ -5,11 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from ppt_rl.envs import MazeLayout, Straight
+from ppt_rl.envs import MazeLayout, MazeRanges, Straight, StraightRanges, Turn
 from ppt_rl.evaluation import record_episodes, run_episodes
 from ppt_rl.tasks.maze import (
     RecedingConfig,
     StepWiseMazeConfig,
+    fit_maze_prior,
     make_follower,
     make_follower_env,
     make_maze_promp,
@@ -29,6 +30,39 @@ def test_training_and_test_are_built_from_the_same_options_but_for_mazes_and_tim
     assert test.duration == CONFIG.duration
     assert [layout.is_straight for layout in (*training.layouts, *test.layouts)] == [True, True, False, False]
     assert training.engine_config.physics_dt == test.engine_config.physics_dt == CONFIG.physics_dt
+
+
+def test_training_in_mazes_meets_mazes_of_the_test_s_ranges_but_none_of_the_test():
+    sharp = MazeRanges(turn=(1.2, 1.25), turns=(1, 1), length=(0.6, 0.7))
+    config = replace(CONFIG, train_in="mazes", mazes=sharp)
+    training, test = (make(config, num_envs=2, seed=3) for make in (make_training_env, make_test_env))
+    for env in (training, test):
+        env.reset()
+        turns = [abs(s.angle) for layout in env.layouts for s in layout.segments if isinstance(s, Turn)]
+        assert len(turns) == 2
+        assert all(1.2 <= angle <= 1.25 for angle in turns)
+    assert training.layouts != test.layouts
+    assert training.duration == config.training_duration
+
+
+def test_corridors_have_the_ranges_of_the_options():
+    config = replace(CONFIG, corridors=StraightRanges(friction=(0.9, 1.0)))
+    env = make_training_env(config, num_envs=2, seed=3)
+    env.reset()
+    assert all(0.9 <= layout.friction <= 1.0 for layout in env.layouts)
+
+
+def test_a_prior_is_fitted_to_corridors_wherever_the_policy_trains():
+    priors = []
+    for place in ("corridors", "mazes"):
+        config = replace(CONFIG, train_in=place)
+        priors.append(fit_maze_prior(make_maze_promp(config), config, num_corridors=2).weights_mean)
+    assert torch.equal(*priors)
+
+
+def test_an_unknown_training_ground_is_refused():
+    with pytest.raises(ValueError, match=r"train_in is 'both'; expected one of \['corridors', 'mazes'\]"):
+        replace(CONFIG, train_in="both")
 
 
 def test_the_straight_line_is_within_the_span_of_the_basis_without_ripple():

@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
+from ppt_rl.envs import PushRandomisation
 from ppt_rl.tasks import episode_metrics, make_controller
 from ppt_rl.tasks.push import PUSH, PushConfig, make_push_env
-from ppt_rl.training import prepare_torch
+from ppt_rl.training import as_json, from_json, prepare_torch, with_settings
 from tests.envs.scenes import leaves
 
 CONFIG = PushConfig(num_envs=3, num_threads=1, duration=0.2, physics_dt=0.002, control_dt=0.02, seed=5)
@@ -68,6 +69,22 @@ def test_seeding_repeats_the_numbers_and_sets_the_threads():
     finally:
         torch.set_num_threads(before)
     assert draws[0] == draws[1] != draws[2]
+
+
+def test_a_harder_task_is_one_option_and_survives_its_json_form():
+    harder = {"randomisation.com": "-0.015,0.015", "randomisation.error": "0.01,0.01", "box_masses": "0.7,0.7"}
+    config = with_settings(CONFIG, harder)
+    assert from_json(PushConfig, as_json(config)) == config
+    env = make_push_env(config, num_envs=2, seed=0)
+    assert env.randomisation == PushRandomisation(com=(-0.015, 0.015), error=(0.01, 0.01))
+    reading = env.reset()
+    torch.testing.assert_close(reading["box_start"], reading["box_pose"][:, :2] + 0.01, atol=1e-4, rtol=0)
+    env.close()
+
+
+def test_a_range_that_is_none_is_refused_on_the_command_line():
+    with pytest.raises(ValueError, match=r"PushRandomisation\.com"):
+        with_settings(CONFIG, {"randomisation.com": "0.01"})
 
 
 def test_masses_reach_the_environment_and_each_group_keeps_its_own():
