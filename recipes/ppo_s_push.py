@@ -9,20 +9,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from torch import nn
-from torchrl.envs import StepCounter, Transform, TransformedEnv, UnaryTransform
+from torchrl.envs import Transform, TransformedEnv
 
 from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
-from ppt_rl.modules import Kinematics, TaskSpace
+from ppt_rl.modules import Kinematics, ProMP
 from ppt_rl.tasks import episode_metrics, make_controller
-from ppt_rl.tasks.push import PUSH, PUSH_AXES, StepWiseConfig, make_push_policy
+from ppt_rl.tasks.push import (
+    PUSH,
+    StepWiseConfig,
+    fit_step_wise,
+    make_push_policy,
+    step_wise_modules,
+    step_wise_transforms,
+)
 from ppt_rl.transforms import (
-    CartesianVelocityTransform,
     EpisodeMetricsTransform,
-    HoldActionTransform,
     ImpedanceTransform,
     JointTorqueTransform,
-    MacroStepTransform,
 )
 
 
@@ -33,19 +37,13 @@ class Config(StepWiseConfig):
     run_dir: Path = Path("runs/s_push")
 
 
-def make_chain(config: Config, base: PushEnv) -> list[Transform]:
+def make_chain(config: Config, base: PushEnv, promp: ProMP | None = None) -> list[Transform]:
     """S's chain: the policy decides every few control steps, and everything else runs at control rate."""
     return [
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
-        CartesianVelocityTransform(
-            TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead
-        ),
-        MacroStepTransform(config.hold_steps, discount=config.ppo.gamma),
-        HoldActionTransform(config.hold_steps, smoothing=config.smoothing),
-        StepCounter(),
-        UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / config.batch_steps),
+        *step_wise_transforms(config, base, promp),
     ]
 
 
@@ -55,14 +53,11 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
         config,
         env,
         initial_scale=config.initial_scale,
-        extra_keys=(
-            "reference_position",
-            "last_action",
-        ),
+        extra_keys=("reference_position", "last_action"),
     )
 
 
-RECIPE = Recipe("s_push", "S", PUSH, Config, make_chain, make_policy)
+RECIPE = Recipe("s_push", "S", PUSH, Config, make_chain, make_policy, step_wise_modules, fit_step_wise)
 
 if __name__ == "__main__":
     RECIPE.main()

@@ -9,21 +9,26 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from torch import nn
-from torchrl.envs import StepCounter, Transform, TransformedEnv, UnaryTransform
+from torchrl.envs import Transform, TransformedEnv
 
 from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
-from ppt_rl.modules import Kinematics, TaskSpace
+from ppt_rl.modules import Kinematics, ProMP
 from ppt_rl.tasks import episode_metrics, make_controller, motor_tank
-from ppt_rl.tasks.push import PUSH, PUSH_AXES, ByGoal, StepWiseConfig, make_push_policy
+from ppt_rl.tasks.push import (
+    PUSH,
+    ByGoal,
+    StepWiseConfig,
+    fit_step_wise,
+    make_push_policy,
+    step_wise_modules,
+    step_wise_transforms,
+)
 from ppt_rl.transforms import (
-    CartesianVelocityTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
-    HoldActionTransform,
     ImpedanceTransform,
     JointTorqueTransform,
-    MacroStepTransform,
 )
 
 
@@ -39,7 +44,7 @@ class Config(StepWiseConfig):
     e_max: ByGoal = None  # type: ignore[assignment]
 
 
-def make_chain(config: Config, base: PushEnv) -> list[Transform]:
+def make_chain(config: Config, base: PushEnv, promp: ProMP | None = None) -> list[Transform]:
     """ST's chain: the policy decides every few control steps, and everything else runs at control rate."""
     return [
         motor_tank(config.p_max, config.e_max),
@@ -47,13 +52,7 @@ def make_chain(config: Config, base: PushEnv) -> list[Transform]:
         EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
-        CartesianVelocityTransform(
-            TaskSpace(PUSH_AXES, base.start_pose), max_velocity=config.velocity, max_lead=config.lead
-        ),
-        MacroStepTransform(config.hold_steps, discount=config.ppo.gamma),
-        HoldActionTransform(config.hold_steps, smoothing=config.smoothing),
-        StepCounter(),
-        UnaryTransform(["step_count"], ["phase"], fn=lambda count: count / config.batch_steps),
+        *step_wise_transforms(config, base, promp),
     ]
 
 
@@ -67,7 +66,7 @@ def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Modu
     )
 
 
-RECIPE = Recipe("st_push", "ST", PUSH, Config, make_chain, make_policy, has_tank=True)
+RECIPE = Recipe("st_push", "ST", PUSH, Config, make_chain, make_policy, step_wise_modules, fit_step_wise, has_tank=True)
 
 if __name__ == "__main__":
     RECIPE.main()

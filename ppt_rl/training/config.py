@@ -71,6 +71,17 @@ class RunConfig:
         batch = self.num_envs * getattr(self, "batch_steps", 1)
         require_at_most("num_envs * batch_steps", batch, _MAX_BATCH, "lower num_envs or the policy steps of a batch")
 
+    def implied(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Further fields that change with some fields, such as defaults that depend on one of them.
+
+        Args:
+            changes: new values by field.
+
+        Returns:
+            New values by field; those in ``changes`` go before them.
+        """
+        return {}
+
 
 def prepare_torch(config: RunConfig) -> None:
     """Seed torch and set its number of threads.
@@ -149,16 +160,17 @@ def with_settings(config: _Config, settings: Mapping[str, str]) -> _Config:
         ValueError: if a field is unknown or its text does not fit its type.
     """
     hints = typing.get_type_hints(type(config))
+    changes: dict[str, Any] = {}
     for name, text in settings.items():
         head, _, rest = name.partition(".")
         if head not in hints:
             raise ValueError(f"option {name!r} is unknown; expected one of {sorted(hints)}.")
-        old = getattr(config, head)
+        old = changes.get(head, getattr(config, head))
         if rest and not is_dataclass(old):
             raise ValueError(f"option {name!r} is unknown, since {head} is a value; expected {head}=VALUE.")
-        new = with_settings(old, {rest: text}) if rest else _parsed(name, hints[head], text)
-        config = replace(config, **{head: new})  # type: ignore[type-var]
-    return config
+        changes[head] = with_settings(old, {rest: text}) if rest else _parsed(name, hints[head], text)
+    implied = config.implied(changes) if isinstance(config, RunConfig) else {}
+    return replace(config, **{**implied, **changes})  # type: ignore[type-var]
 
 
 def _restored(name: str, hint: Any, value: Any) -> Any:
@@ -182,6 +194,10 @@ def _parsed(name: str, hint: Any, text: str) -> Any:
         return tuple(_parsed(name, options[0], part) for part in text.split(",") if part)
     if NoneType in options:
         return None if text.lower() == "none" else _parsed(name, options[0], text)
+    if typing.get_origin(hint) is typing.Literal:
+        if text not in options:
+            raise ValueError(f"option {name} is {text!r}; expected one of {list(options)}.")
+        return text
     try:
         if hint is bool:
             return {"true": True, "false": False}[text.lower()]

@@ -18,6 +18,8 @@ ABSURD = {
     "replan_steps": 10**9, "duration": 1e9, "training_duration": 1e9, "physics_dt": 1e-9, "control_dt": 1e-9,
     "promp_duration": 1e9, "seed": 2**40,
 }  # fmt: skip
+#: Numbers of which None takes the default of the goal.
+_OF_THE_GOAL = ("duration", "e_max", "max_velocity")
 ABSURD_PPO = {"total_control_steps": 10**15, "epochs": 10**9, "minibatches": 10**9, "checkpoint_every": 10**12}
 
 
@@ -39,7 +41,7 @@ def test_the_defaults_of_a_recipe_are_within_their_bounds_and_every_number_has_s
 def test_no_number_of_a_recipe_may_be_nan_infinite_negative_or_no_number(variant, bad):
     config = find_recipe(variant).config
     for name in numbers(config()):
-        if (name == "counter_turn" and isinstance(bad, float | int)) or (name in ("duration", "e_max") and bad is None):
+        if (name == "counter_turn" and isinstance(bad, float | int)) or (name in _OF_THE_GOAL and bad is None):
             continue  # it may be negative; None takes the default of the goal
         with pytest.raises(ValueError, match=rf"^{name} is .*; expected a (whole )?number from "):
             config(**{name: bad})
@@ -130,3 +132,27 @@ def test_the_json_form_leaves_out_how_a_process_starts_and_comes_back():
 def test_a_setting_out_of_bounds_is_refused_on_a_command_line_too():
     with pytest.raises(ValueError, match="learning_rate is nan"):
         with_settings(Mine(), {"ppo.learning_rate": "nan"})
+
+
+def test_a_choice_is_one_of_its_words():
+    config = find_recipe("ppt_push").config()
+    assert with_settings(config, {"goal": "position"}).goal == "position"
+    with pytest.raises(ValueError, match=r"option goal is 'place'; expected one of \['position', 'pose'\]"):
+        with_settings(config, {"goal": "place"})
+
+
+def test_with_another_goal_what_was_left_to_it_follows_and_what_was_set_stays():
+    config = find_recipe("st_push").config()
+    assert (config.duration, config.e_max, config.max_velocity) == (1.5, 1.25, 0.4)
+    moved = with_settings(config, {"goal": "position"})
+    assert moved == find_recipe("st_push").config(goal="position")
+    for settings in ({"duration": "1.5", "goal": "position"}, {"goal": "position", "duration": "1.5"}):
+        assert with_settings(config, settings) == find_recipe("st_push").config(goal="position", duration=1.5)
+    assert with_settings(config, {"goal": "pose"}) == config
+    mine = find_recipe("st_push").config(e_max=0.7)
+    assert with_settings(mine, {"goal": "position"}).e_max == 0.7
+
+
+def test_several_settings_of_one_nested_group_are_all_taken():
+    ppo = with_settings(find_recipe("s_push").config(), {"ppo.gamma": "0.9", "ppo.epochs": "3"}).ppo
+    assert (ppo.gamma, ppo.epochs) == (0.9, 3)

@@ -30,6 +30,7 @@ from ppt_rl.transforms import (
     ProMPTransform,
     RecedingKeys,
     RecedingProMPTransform,
+    ReferenceVelocityTransform,
     ViaPointTransform,
 )
 from tests.engines import ONE_THREAD
@@ -211,6 +212,14 @@ CASES: dict[str, Case] = {
         nested={
             "keys": RecedingKeys(action=("agent", "action"), pose=("agent", "pose"), heading=("agent", "start_heading"))
         },
+    ),
+    "ReferenceVelocityTransform": Case(
+        lambda **kwargs: ReferenceVelocityTransform(make_promp(), max_velocity=5.0, **kwargs),
+        inner=(3, 3),
+        outer=(3, 3),
+        state=("phase",),
+        timed=True,
+        nested=_ACTION,
     ),
     "ViaPointTransform": Case(
         lambda **kwargs: ViaPointTransform(make_promp(), write_cov=True, **kwargs),

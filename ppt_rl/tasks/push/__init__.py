@@ -9,6 +9,7 @@ from ppt_rl.tasks.push.config import (
 )
 from ppt_rl.tasks.push.networks import PRIVILEGED, make_push_policy
 from ppt_rl.tasks.push.prior import PUSH_AXES, fit_push_prior
+from ppt_rl.tasks.push.step_wise import fit_step_wise, step_wise_modules, step_wise_transforms
 from ppt_rl.tasks.push.task import PUSH
 
 __all__ = [
@@ -20,6 +21,9 @@ __all__ = [
     "PushConfig",
     "StepWiseConfig",
     "fit_push_prior",
+    "fit_step_wise",
     "make_push_env",
     "make_push_policy",
+    "step_wise_modules",
+    "step_wise_transforms",
 ]

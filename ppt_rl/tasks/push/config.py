@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 else:  # a number that __post_init__ fills in where it is None
     ByGoal = float | None
 #: Defaults that depend on what has to be at the goal.
-_BY_GOAL = {"duration": {"pose": 1.5, "position": 3.0}, "e_max": {"pose": 1.25, "position": 3.0}}
+_BY_GOAL = {
+    "duration": {"pose": 1.5, "position": 3.0},
+    "e_max": {"pose": 1.25, "position": 3.0},
+    "max_velocity": {"pose": 0.4, "position": 0.2},
+}
 
 
 def _ppo() -> PPOConfig:
@@ -68,6 +72,12 @@ class PushConfig(TaskConfig):
             if getattr(self, name, 0.0) is None:
                 object.__setattr__(self, name, default[self.goal])
         super().__post_init__()
+
+    def implied(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Where the goal changes, what has its default takes that of the new goal."""
+        if changes.get("goal", self.goal) == self.goal:
+            return {}
+        return {name: None for name, default in _BY_GOAL.items() if getattr(self, name, None) == default[self.goal]}
 
 
 @dataclass(frozen=True)
@@ -114,18 +124,24 @@ class StepWiseConfig(PushConfig):
     """Options of the recipes whose policy acts on Cartesian velocity.
 
     Attributes:
-        max_velocity: velocity of an action of 1 in x and y [m/s].
+        max_velocity: velocity of an action of 1 in x and y [m/s]; None takes that of the goal: 0.4 m/s for a pose, 0.2
+            m/s for a position.
         max_yaw_rate: yaw rate of an action of 1 [rad/s].
         max_lead: largest distance of the reference from the tool in x and y [m].
         max_yaw_lead: largest distance in yaw [rad].
         hold_steps: control steps from one decision to the next.
         smoothing: share of the difference to the last action that remains after a control step [-].
+        on_reference: whether the velocity is added to that of the reference that PPT has, so that an action of zero
+            follows it.
+        num_basis: number of basis functions of that reference for each of x, y and yaw.
         initial_scale: standard deviation of the untrained policy, in actions [-].
     """
 
-    hold_steps: int = 5
-    smoothing: float = 0.0
-    max_velocity: float = 0.4
+    hold_steps: int = 10
+    smoothing: float = 0.8
+    on_reference: bool = False
+    num_basis: int = 6
+    max_velocity: ByGoal = None  # type: ignore[assignment]
     max_yaw_rate: float = 1.5
     max_lead: float = 0.05
     max_yaw_lead: float = 0.3
