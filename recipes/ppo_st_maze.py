@@ -5,7 +5,7 @@ Trains on straight corridors only. With defaults, or look at the options: ``pyth
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from torch import nn
@@ -28,14 +28,16 @@ from ppt_rl.transforms import (
 
 @dataclass(frozen=True)
 class Config(StepWiseMazeConfig):
-    """Train ST (step-wise PPO + energy tank) for the maze, on straight corridors."""
+    """Train ST (step-wise PPO + energy tank) for the maze, on straight corridors.
+
+    Attributes:
+        rewards: weights that reward setting off: with PPT's, one of two policies learnt to creep.
+    """
 
     run_dir: Path = Path("runs/st_maze")
-
-    @property
-    def rewards(self) -> MazeRewards:
-        """Weights that reward setting off: with PPT's, one of two policies learnt to creep."""
-        return MazeRewards(progress=3.0, free_space=2.0, cruise=0.06, contact=3.0)
+    rewards: MazeRewards = field(
+        default_factory=lambda: MazeRewards(progress=3.0, free_space=2.0, cruise=0.06, contact=3.0)
+    )
 
 
 def make_chain(config: Config, base: MazeEnv) -> list[Transform]:

@@ -49,8 +49,8 @@ class MazeConfig(TaskConfig):
         e_max: capacity of the tank [J].
         cutoff: cutoff of the low-pass in the metrics of jerk and force [Hz].
         depth: distance of the reference below the tool, which presses it on the floor [m].
-        cruise: speed that the reward asks for [m/s].
         layouts: JSON files of mazes to be judged in, taken in turn; with none, mazes are drawn at random.
+        rewards: weights of the reward terms.
         mazes: ranges of the random mazes.
         corridors: ranges of the straight corridors.
     """
@@ -67,8 +67,8 @@ class MazeConfig(TaskConfig):
     e_max: float = 3.0
     cutoff: float = 10.0
     depth: float = 0.006
-    cruise: float = 0.0565
     layouts: tuple[Path, ...] = ()
+    rewards: MazeRewards = field(default_factory=MazeRewards)
     mazes: MazeRanges = field(default_factory=MazeRanges)
     corridors: StraightRanges = field(default_factory=StraightRanges)
     ppo: PPOConfig = field(
@@ -83,7 +83,6 @@ class MazeConfig(TaskConfig):
         "cutoff": Bounds(1e-3, 1e4, "Hz"),
         "depth": Bounds(0.0, 1.0, "m"),
         "max_lead": Bounds(1e-6, 10.0, "m"),
-        "cruise": Bounds(1e-4, 10.0, "m/s"),
     }
 
     def __post_init__(self) -> None:
@@ -91,11 +90,6 @@ class MazeConfig(TaskConfig):
         if self.train_in not in get_args(TrainingGround):
             raise ValueError(f"train_in is {shown(self.train_in)}; expected one of {list(get_args(TrainingGround))}.")
         super().__post_init__()
-
-    @property
-    def rewards(self) -> MazeRewards:
-        """Weights of the reward groups."""
-        return MazeRewards(cruise=self.cruise)
 
 
 @dataclass(frozen=True)

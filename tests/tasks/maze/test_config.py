@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from ppt_rl.envs import MazeLayout, MazeRanges, Straight, StraightRanges, Turn
-from ppt_rl.evaluation import record_episodes, run_episodes
+from ppt_rl.envs import MazeLayout, MazeRanges, MazeRewards, Straight, StraightRanges, Turn
+from ppt_rl.evaluation import find_recipe, record_episodes, run_episodes
 from ppt_rl.tasks.maze import (
     RecedingConfig,
     StepWiseMazeConfig,
@@ -18,6 +18,7 @@ from ppt_rl.tasks.maze import (
     make_training_env,
     maze_metrics,
 )
+from ppt_rl.training import as_json, from_json, with_settings
 
 CONFIG = RecedingConfig(num_envs=2, num_threads=1, physics_dt=0.002, seed=3)
 
@@ -50,6 +51,17 @@ def test_corridors_have_the_ranges_of_the_options():
     env = make_training_env(config, num_envs=2, seed=3)
     env.reset()
     assert all(0.9 <= layout.friction <= 1.0 for layout in env.layouts)
+
+
+def test_the_weights_of_the_rewards_are_options_and_each_variant_has_its_own():
+    config = with_settings(CONFIG, {"rewards.cruise": "0.1", "mazes.turn": "1.2,1.25"})
+    assert config.rewards == MazeRewards(cruise=0.1)
+    assert from_json(RecedingConfig, as_json(config)) == config
+    env = make_training_env(config, num_envs=1, seed=0)
+    assert env.rewards == config.rewards
+    env.close()
+    assert find_recipe("st_maze").config().rewards.progress == 3.0
+    assert find_recipe("ppt_maze").config().rewards == MazeRewards()
 
 
 def test_a_prior_is_fitted_to_corridors_wherever_the_policy_trains():
