@@ -42,7 +42,7 @@ class Options:
     report: Path | None = None
 
 
-#: Capacities [J] at the trained power limit, and power limits [W] at the trained capacity.
+#: Capacities [J] at the power limit of the training, and power limits [W] at its capacity.
 _E_MAX = (1.0, 1.25, 1.5, 2.0, 3.0)
 _P_MAX = (1.0, 1.5, 2.0, 3.0, 5.0)
 
@@ -63,12 +63,11 @@ def with_tank(policy: Policy, behind: Policy) -> Policy:
     return replace(policy, recipe=recipe, config=config)
 
 
-def points() -> Iterator[tuple[str, dict[str, float]]]:
-    """What is varied, and the options of each point."""
-    for e_max in _E_MAX:
-        yield "e_max", {"e_max": e_max, "p_max": 2.0}
-    for p_max in _P_MAX:
-        yield "p_max", {"e_max": 1.5, "p_max": p_max}
+def points(trained: dict[str, float]) -> Iterator[tuple[str, dict[str, float]]]:
+    """What is varied, and the limits of each point; ``trained`` are those of the training."""
+    for varied, values in (("e_max", _E_MAX), ("p_max", _P_MAX)):
+        for value in values:
+            yield varied, trained | {varied: value}
 
 
 def measure(policy: Policy, actor: Any, options: Options) -> dict[str, Any]:
@@ -95,8 +94,9 @@ def main(options: Options) -> None:
         "PP, tank added at test": (with_tank(without, behind), without.actor),
         "reference alone": (behind, ZeroPolicy(behind.actor)),
     }
+    trained = {"p_max": behind.config.p_max, "e_max": behind.config.e_max}
     results: list[dict[str, Any]] = []
-    for varied, limits in points():
+    for varied, limits in points(trained):
         for name, (policy, actor) in actors.items():
             row = measure(policy.with_changes(**limits), actor, options)
             results.append({"varied": varied, **limits, "actor": name, **row})
@@ -105,13 +105,13 @@ def main(options: Options) -> None:
                 f"({row['low']:.3f}-{row['high']:.3f}), the tank acts in {row['tank_acts']:.2f}", flush=True,
             )  # fmt: skip
     if options.report is not None:
-        record = {"episodes": options.episodes, "seed": options.seed, "points": results}
+        record = {"episodes": options.episodes, "seed": options.seed, "trained": trained, "points": results}
         write_text_atomically(options.report / "tank_at_test.json", json.dumps(record, indent=2) + "\n")
-        draw(results, options.report / "tank_at_test.png")
+        draw(results, trained, options.report / "tank_at_test.png")
 
 
-def draw(results: list[dict[str, Any]], path: Path) -> None:
-    """Success of each policy by capacity and by power limit."""
+def draw(results: list[dict[str, Any]], trained: dict[str, float], path: Path) -> None:
+    """Success of each policy by capacity and by power limit; a line marks the limits of the training."""
     figure = Figure(figsize=(10, 4), layout="constrained")
     for axes, (varied, label) in zip(
         figure.subplots(1, 2, sharey=True), (("e_max", "capacity [J]"), ("p_max", "power limit [W]")), strict=True
@@ -121,7 +121,7 @@ def draw(results: list[dict[str, Any]], path: Path) -> None:
             x, y = ([row[key] for row in rows] for key in (varied, "success"))
             axes.plot(x, y, marker="o", ms=4, label=name)
             axes.fill_between(x, [row["low"] for row in rows], [row["high"] for row in rows], alpha=0.2)
-        axes.axvline({"e_max": 1.5, "p_max": 2.0}[varied], color="grey", ls="--", lw=1, label="trained with")
+        axes.axvline(trained[varied], color="grey", ls="--", lw=1, label="trained with")
         axes.set_xlabel(label)
         axes.grid(alpha=0.3)
     figure.axes[0].set_ylabel("success [0-1]")

@@ -20,7 +20,7 @@ __all__ = ["Calibration", "calibrate"]
 
 #: A limit that no robot reaches, so that the tank never closes [W, J].
 _NO_LIMIT = 1e6
-_QUANTILES = (0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 1.0)
 _QUANTITIES = {"max_power": "W", "work": "J", "audit_commanded_power": "W", "audit_commanded_work": "J"}
 
 
