@@ -32,7 +32,7 @@ class Config(EpisodeLevelConfig):
     """Train PPT (ProMP + PPO + energy tank) on box pushing.
 
     Attributes:
-        e_max: capacity of the tank [J]; None takes that of the goal: 1.25 J for a pose, 3 J for a position.
+        e_max: capacity of the tank [J]; None takes that of the goal: 1.35 J for a pose, 3 J for a position.
     """
 
     run_dir: Path = Path("runs/ppt_push")
