@@ -19,8 +19,8 @@ __all__ = ["TrainingCurve", "plot_curves"]
 
 Array = NDArray[np.float64]
 _TITLE = (
-    "Training: interquartile mean over seeds with its 95 % interval (stratified bootstrap). Solid: the policy without "
-    "exploration, in fresh episodes. Thin: the exploring policy, mean of {window} batches."
+    "Interquartile mean over seeds with its 95 % interval (stratified bootstrap). Thick with points: the policy without\n"
+    "exploration, in fresh episodes, where it was validated. Thin: the exploring policy, mean of {window} batches."
 )
 
 
@@ -67,7 +67,7 @@ def plot_curves(curves: Mapping[str, Sequence[TrainingCurve]], path: Path, *, p_
     grid[0, 1].set_yscale("log")
     handles, names = grid[0, 1].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=len(names))
-    figure.suptitle(_TITLE.format(window=window), fontsize=9, wrap=True)
+    figure.suptitle(_TITLE.format(window=window), fontsize=9)
     save_figure(figure, path)
 
 
@@ -91,8 +91,8 @@ def _draw(
         x = times if against_time else steps / 1e6
         count = f"{len(seeds)} seed{'s' if len(seeds) > 1 else ''}"
         axes.plot(
-            x, [summary["iqm"] for summary in summaries], color=color, lw=2.2 if main else 0.8,
-            alpha=1.0 if main else 0.55, label=f"{variant} ({count})" if main else None,
+            x, [summary["iqm"] for summary in summaries], color=color, lw=2.2 if main and validated else 0.9,
+            alpha=1.0 if main else 0.6, label=f"{variant} ({count})" if main else None,
             marker="o" if main and validated else None, ms=4,
         )  # fmt: skip
         if main and len(seeds) > 1:
