@@ -20,7 +20,7 @@ __all__ = ["TrainingCurve", "plot_curves"]
 Array = NDArray[np.float64]
 _TITLE = (
     "Interquartile mean over seeds with its 95 % interval (stratified bootstrap). Thick with points: the policy\n"
-    "without exploration, in fresh episodes, where it was validated. Thin: the exploring policy, mean of {window} batches."
+    "without exploration, in fresh episodes, where it was validated. Thin: exploring, mean of {window} batches."
 )
 
 
