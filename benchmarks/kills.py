@@ -29,13 +29,15 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator  # type: ignore[import-untyped]
 
 from ppt_rl.recipes.ppo_s_push import RECIPE
-from ppt_rl.training import PPOConfig, progress, run_script
+from ppt_rl.training import VALIDATED, PPOConfig, progress, run_script
 from ppt_rl.training.checkpoint import all_checkpoints
 from ppt_rl.training.logs import RunLogs, read_scalar
 
 Shared = Array[c_longlong]
 #: Control steps of a batch: environments times steps of a batch.
 BATCH = 2 * 10
+#: Batches from one validation to the next.
+_VALIDATE = 2
 #: Number of checkpoints that a life may write before it is killed in the next one.
 _WRITES = 3
 
@@ -85,7 +87,9 @@ def shared() -> Shared:
 def train(run_dir: Path, budget: int, resume: bool) -> None:
     """A tiny training that writes a checkpoint after each batch."""
     ppo = PPOConfig(total_control_steps=budget, epochs=1, minibatches=1, checkpoint_every=1)
-    tiny = RECIPE.config(num_envs=2, num_threads=1, duration=0.1, physics_dt=0.005, hold_steps=1, ppo=ppo)
+    tiny = RECIPE.config(
+        num_envs=2, num_threads=1, duration=0.1, physics_dt=0.005, hold_steps=1, validate_every=_VALIDATE, ppo=ppo
+    )
     RECIPE.train(replace(tiny, run_dir=run_dir, resume=resume))
 
 
@@ -201,10 +205,12 @@ def endure(run_dir: Path, lives: int, seconds: float, calls: int, result: Result
 
 def found_faults(run_dir: Path, last: int) -> list[str]:
     """What is wrong with a run that has ended: logs, checkpoints, leftovers."""
-    expected, faults = list(range(BATCH, last + 1, BATCH)), []
+    faults = []
     events = EventAccumulator(str(run_dir / "logs" / "tensorboard"), size_guidance={"scalars": 0})
     events.Reload()
     for path in (run_dir / "logs" / "csv" / "scalars").iterdir():
+        every = range(0, last + 1, _VALIDATE * BATCH) if path.stem in VALIDATED else range(BATCH, last + 1, BATCH)
+        expected = list(every)
         in_csv = read_scalar(run_dir, path.stem)[0].tolist()
         in_events = [event.step for event in events.Scalars(path.stem)]
         if in_csv != expected or in_events != expected:
