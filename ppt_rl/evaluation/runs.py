@@ -188,7 +188,7 @@ def curves_csv(run_dir: Path) -> str:
     Returns:
         The text.
     """
-    return _scalars_csv(run_dir, {"success": "success", **{name: name for name in _CURVES}})
+    return _scalars_csv(run_dir, {name: name for name in _CURVES})
 
 
 def validation_csv(run_dir: Path) -> str:
