@@ -165,7 +165,7 @@ class Study:
         recipes: variants, files of recipes, or a task for all of its variants.
         seeds: number of seeds, 0 to seeds - 1.
         episodes: number of evaluated episodes of a run in each group of episodes.
-        eval_seed: seed of the evaluated episodes.
+        eval_seed: seed of the evaluated episodes, or several, which share them equally.
         num_envs: number of environments that step together in the evaluation.
         settings: options to change in every recipe, as NAME=VALUE: `--set num_envs=64 ppo.epochs=4`.
         runs: directory of the training runs: logs and checkpoints, some 10 MB each.
@@ -177,7 +177,7 @@ class Study:
     recipes: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="RECIPE")] = ("push",)
     seeds: int = 3
     episodes: int = 512
-    eval_seed: int = 10_000
+    eval_seed: tuple[int, ...] = (10_000,)
     num_envs: int = 128
     settings: _Settings = ()
     runs: Path = Path("runs/study")

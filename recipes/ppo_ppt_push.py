@@ -7,16 +7,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 
 from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
+from ppt_rl.functional.checks import Bounds
 from ppt_rl.modules import Kinematics, ProMP, TaskSpace
 from ppt_rl.tasks import episode_metrics, make_controller, motor_tank
 from ppt_rl.tasks.push import PUSH, PUSH_AXES, ByGoal, EpisodeLevelConfig, fit_push_prior, make_push_policy
 from ppt_rl.transforms import (
+    EnergyPenaltyTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
     ImpedanceTransform,
@@ -33,10 +36,14 @@ class Config(EpisodeLevelConfig):
 
     Attributes:
         e_max: capacity of the tank [J]; None takes that of the goal: 1.35 J for a pose, 3 J for a position.
+        energy_penalty: reward subtracted for energy from the tank, in training [1/J].
     """
 
     run_dir: Path = Path("runs/ppt_push")
     e_max: ByGoal = None  # type: ignore[assignment]
+    energy_penalty: float = 0.5
+
+    bounds: ClassVar[dict[str, Bounds]] = {"energy_penalty": Bounds(0.0, 1e6, "1/J")}
 
 
 def make_modules(config: Config) -> dict[str, ProMP]:
@@ -50,6 +57,7 @@ def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
         motor_tank(config.p_max, config.e_max),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
         EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
+        EnergyPenaltyTransform(config.energy_penalty),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
         MacroStepTransform(config.chunk, discount=config.ppo.gamma),

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from torch import nn
 from torchrl.envs import Transform, TransformedEnv
 
 from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
+from ppt_rl.functional.checks import Bounds
 from ppt_rl.modules import Kinematics, ProMP
 from ppt_rl.tasks import episode_metrics, make_controller, motor_tank
 from ppt_rl.tasks.push import (
@@ -25,6 +27,7 @@ from ppt_rl.tasks.push import (
     step_wise_transforms,
 )
 from ppt_rl.transforms import (
+    EnergyPenaltyTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
     ImpedanceTransform,
@@ -38,10 +41,14 @@ class Config(StepWiseConfig):
 
     Attributes:
         e_max: capacity of the tank [J]; None takes that of the goal: 1.35 J for a pose, 3 J for a position.
+        energy_penalty: reward subtracted for energy from the tank, in training [1/J].
     """
 
     run_dir: Path = Path("runs/st_push")
     e_max: ByGoal = None  # type: ignore[assignment]
+    energy_penalty: float = 0.5
+
+    bounds: ClassVar[dict[str, Bounds]] = {"energy_penalty": Bounds(0.0, 1e6, "1/J")}
 
 
 def make_chain(config: Config, base: PushEnv, promp: ProMP | None = None) -> list[Transform]:
@@ -50,6 +57,7 @@ def make_chain(config: Config, base: PushEnv, promp: ProMP | None = None) -> lis
         motor_tank(config.p_max, config.e_max),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
         EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
+        EnergyPenaltyTransform(config.energy_penalty),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
         *step_wise_transforms(config, base, promp),

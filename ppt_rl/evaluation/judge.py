@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from ppt_rl.evaluation.episodes import Rows, require_run_options, run_episodes
 from ppt_rl.evaluation.policy import Policy
+from ppt_rl.evaluation.seeds import seeds_of
 from ppt_rl.evaluation.statistics import distribution, summarise
 from ppt_rl.evaluation.tables import as_csv, metrics_table, power_table
 from ppt_rl.training.logs import write_text_atomically
@@ -94,7 +95,7 @@ def evaluate(
     policy: Policy,
     *,
     episodes: int,
-    seed: int,
+    seed: int | Sequence[int],
     num_envs: int = 128,
     groups: bool = False,
     baselines: bool = False,
@@ -105,7 +106,7 @@ def evaluate(
     Args:
         policy: the policy.
         episodes: fresh episodes for each actor and group.
-        seed: seed of the episodes; training uses small seeds.
+        seed: seed of the episodes; training uses small seeds. Of several seeds, each gives an equal share of them.
         num_envs: number of environments that step together.
         groups: whether each group of episodes of the task is run on its own too.
         baselines: whether the baselines run too, in the same episodes.
@@ -117,7 +118,10 @@ def evaluate(
     Raises:
         ValueError: if a number is out of range.
     """
-    require_run_options(episodes=episodes, seed=seed, num_envs=num_envs)
+    seeds = seeds_of(seed)
+    for each in seeds:
+        require_run_options(episodes=episodes, seed=each, num_envs=num_envs)
+    shares = [len(part) for part in np.array_split(np.arange(episodes), len(seeds))]
     changes: dict[str, Mapping[str, Any]] = {ALL: {}} if everything else {}
     if groups:
         found = policy.recipe.task.groups(policy.config)
@@ -128,7 +132,12 @@ def evaluate(
         changed = policy.with_changes(**change)
         for actor in actors:
             label = actor if group == ALL else f"{actor}, {group}"
-            rows[actor][group] = _run(changed, actor, episodes, seed, min(num_envs, episodes), label)
+            parts = [
+                _run(changed, actor, share, each, min(num_envs, share), label)
+                for share, each in zip(shares, seeds, strict=True)
+                if share
+            ]
+            rows[actor][group] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Evaluation(policy, rows)
 
 

@@ -21,6 +21,7 @@ from ppt_rl.evaluation.episodes import record_episodes
 from ppt_rl.evaluation.judge import Evaluation, evaluate, rows_of
 from ppt_rl.evaluation.policy import Policy, restored_config
 from ppt_rl.evaluation.recipe import Recipe
+from ppt_rl.evaluation.seeds import seeds_of
 from ppt_rl.evaluation.statistics import distribution
 from ppt_rl.evaluation.tables import as_csv, from_csv
 from ppt_rl.training import VALIDATED, CheckpointMismatch
@@ -149,14 +150,14 @@ def _arrays(data: bytes) -> dict[str, Array]:
         return {name: file[name].astype(np.float64) for name in file.files}
 
 
-def keep_run(run: KeptRun, policy: Policy, *, episodes: int, seed: int, num_envs: int) -> None:
+def keep_run(run: KeptRun, policy: Policy, *, episodes: int, seed: int | Sequence[int], num_envs: int) -> None:
     """Judge a trained policy in each group of episodes and keep the results; with seed 0 the baselines as well.
 
     Args:
         run: the run.
         policy: its policy.
         episodes: number of episodes in each group.
-        seed: seed of the episodes.
+        seed: seed of the episodes, or several, which share them equally.
         num_envs: number of environments that step together.
     """
     baselines = run.seed == 0 and run.recipe.has_reference
@@ -164,14 +165,15 @@ def keep_run(run: KeptRun, policy: Policy, *, episodes: int, seed: int, num_envs
         policy, episodes=episodes, seed=seed, num_envs=num_envs, groups=True, baselines=baselines, everything=False
     )
     run.write_episodes(evaluation)
-    write_bytes_atomically(run.results / "rollouts.npz", _recorded(policy, seed))
+    write_bytes_atomically(run.results / "rollouts.npz", _recorded(policy, seeds_of(seed)[0]))
     write_text_atomically(run.results / "curves.csv", curves_csv(run.run_dir))
     if policy.config.validate_every:
         write_text_atomically(run.results / "validation.csv", validation_csv(run.run_dir))
     shutil.copyfile(run.run_dir / "config.json", run.results / "config.json")
     rows = evaluation.rows
     record = {
-        "variant": run.recipe.variant, "seed": run.seed, "episodes": episodes, "eval_seed": seed,
+        "variant": run.recipe.variant, "seed": run.seed, "episodes": episodes,
+        "eval_seed": seed if isinstance(seed, int) else list(seed),
         "groups": list(rows[run.recipe.variant]),
         "summary": {a: {group: evaluation.summary(a, group) for group in part} for a, part in rows.items()},
         "audit": {a: {group: distribution(part[group]) for group in part} for a, part in rows.items()},

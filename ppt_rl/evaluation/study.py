@@ -16,6 +16,7 @@ from ppt_rl.evaluation.policy import Policy, load_policy
 from ppt_rl.evaluation.published import save_pretrained
 from ppt_rl.evaluation.recipe import Recipe, find_recipe, shipped_recipes
 from ppt_rl.evaluation.runs import KeptRun, keep_run
+from ppt_rl.evaluation.seeds import listed_seeds, seeds_of
 from ppt_rl.evaluation.study_report import write_report
 from ppt_rl.evaluation.tables import markdown, mean_and_interval
 from ppt_rl.functional.argument_checks import require_whole
@@ -36,7 +37,7 @@ class Study:
         recipes: variants to compare, all of one task.
         seeds: number of seeds, 0 to seeds - 1.
         episodes: evaluated episodes of a run in each group of episodes.
-        eval_seed: seed of the evaluated episodes; training uses small seeds.
+        eval_seed: seed of the evaluated episodes, or several, which share them equally; training uses small seeds.
         num_envs: number of environments that step together in an evaluation.
         settings: options to change in every recipe, as text by name.
         runs: directory of the training runs: logs and checkpoints, some 10 MB each.
@@ -47,7 +48,7 @@ class Study:
     recipes: Sequence[Recipe]
     seeds: int = 3
     episodes: int = 512
-    eval_seed: int = 10_000
+    eval_seed: int | Sequence[int] = 10_000
     num_envs: int = 128
     settings: Mapping[str, str] = field(default_factory=dict)
     runs: Path = Path("runs/study")
@@ -57,8 +58,9 @@ class Study:
     def __post_init__(self) -> None:
         """Refuse impossible studies."""
         require_whole("seeds", self.seeds, 1, _MOST_SEEDS)
-        require_whole("eval_seed", self.eval_seed, 0)
-        require_run_options(episodes=self.episodes, seed=self.eval_seed, num_envs=self.num_envs)
+        for seed in seeds_of(self.eval_seed):
+            require_whole("eval_seed", seed, 0)
+            require_run_options(episodes=self.episodes, seed=seed, num_envs=self.num_envs)
         others = [recipe for recipe in self.recipes if not isinstance(recipe, Recipe)]
         if others:
             raise ValueError(f"recipes hold {others[0]!r}; expected recipes. Find them by name with find_recipes.")
@@ -190,8 +192,8 @@ def card_text(card: Mapping[str, Any]) -> str:
     return f"""# {card["variant"]}, seed {card["seed"]}
 
 Trained by `{card["command"]}` for {card["config"]["ppo"]["total_control_steps"]:,} control steps;
-{evaluation["episodes"]} fresh episodes a row (seed {evaluation["eval_seed"]}), deterministic, without privileged
-observations; mean (95 % interval over episodes). It is the last checkpoint of its run, not the best.
+{evaluation["episodes"]} fresh episodes a row (seed {listed_seeds(evaluation["eval_seed"])}), deterministic, without
+privileged observations; mean (95 % interval over episodes). It is the last checkpoint of its run, not the best.
 
 {table}
 

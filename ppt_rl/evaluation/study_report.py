@@ -13,6 +13,7 @@ from ppt_rl.evaluation.curve_figures import TrainingCurve, plot_curves
 from ppt_rl.evaluation.judge import ALL
 from ppt_rl.evaluation.runs import KeptRun
 from ppt_rl.evaluation.seed_tables import by_seed, improvement, orderings, over_seeds_table
+from ppt_rl.evaluation.seeds import listed_seeds
 from ppt_rl.evaluation.statistics import distribution, interval, summarise
 from ppt_rl.evaluation.study_figures import plot_boxes, plot_tanks
 from ppt_rl.evaluation.tables import markdown, mean_and_interval, power_table
@@ -86,8 +87,8 @@ def _head(groups: Groups) -> str:
     where = "" if record["groups"] == [ALL] else f" in each group ({', '.join(record['groups'])})"
     return (
         f"Seeds: {seeds}. Each run trained {config.ppo.total_control_steps:,} control steps and was then judged in "
-        f"{record['episodes']} fresh episodes{where}, the same for all (seed {record['eval_seed']}), deterministically "
-        f"and without privileged observations. {run.recipe.task.report.note}"
+        f"{record['episodes']} fresh episodes{where}, the same for all (seed {listed_seeds(record['eval_seed'])}), "
+        f"deterministically and without privileged observations. {run.recipe.task.report.note}"
     ).rstrip()
 
 

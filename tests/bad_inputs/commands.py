@@ -78,6 +78,7 @@ _NUMBERS = [
     _cli("sweep st_maze --baseline nobody", r"baselines \['nobody'\] are unknown; expected names from"),
     _cli("study push --seeds 0", "seeds is 0; expected a whole number"),
     _cli("study push --episodes -1", "episodes is -1; expected a whole number"),
+    _cli("study push --eval-seed 7 7", "seeds of the episodes are .7, 7.; expected .* each of them once"),
     _cli("study push --eval-seed -1", "eval_seed is -1; expected a whole number"),
     _cli("study push --num-envs 0", "num_envs is 0; expected a whole number"),
     _cli("train s_push --goal angle", "invalid choice .angle. for argument .--goal"),

@@ -84,6 +84,21 @@ def test_evaluation_repeats_with_the_same_seed(trained):
         np.testing.assert_array_equal(values, second[name])
 
 
+def test_several_seeds_share_the_episodes_and_each_gives_its_own(trained):
+    policy = load_policy(trained)
+    both = evaluate(policy, episodes=5, seed=(7, 8), num_envs=2).labelled["ppt_push"]
+    first, second = (
+        evaluate(policy, episodes=n, seed=seed, num_envs=2).labelled["ppt_push"] for n, seed in ((3, 7), (2, 8))
+    )
+    assert all(np.array_equal(both[name], np.concatenate([first[name], second[name]])) for name in both)
+
+
+@pytest.mark.parametrize("seeds", [(), (7, 8, 7)])
+def test_no_seed_and_the_same_seed_twice_are_refused(trained, seeds):
+    with pytest.raises(ValueError, match=r"the seeds of the episodes are .*expected at least one, each of them once"):
+        evaluate(load_policy(trained), episodes=4, seed=seeds)
+
+
 def test_without_an_opengl_library_only_the_video_is_left_out(trained, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("ppt_rl.envs.rendering.rendering_backend", lambda: "disable")
     draw_policy(load_policy(trained), tmp_path, episodes=2, seed=1)

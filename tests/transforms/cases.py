@@ -18,6 +18,7 @@ from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, Task
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     ContactViaPointTransform,
+    EnergyPenaltyTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
     HeadingFrameTransform,
@@ -117,6 +118,10 @@ CASES: dict[str, Case] = {
         nested={f"{key}_key": ("agent", key) for key in ("pose", "twist", "wrench")}
         | {"heading_key": ("agent", "start_heading")},
         base={"via_points": False},
+    ),
+    "EnergyPenaltyTransform": Case(
+        lambda **kwargs: EnergyPenaltyTransform(0.5, **{"energy_key": "start_heading", **kwargs}),
+        nested={"energy_key": ("agent", "start_heading")},
     ),
     "EnergyTankTransform": Case(
         lambda **kwargs: EnergyTankTransform(p_max=1.0, e_max=0.02, **kwargs),

@@ -22,7 +22,12 @@ from tests.transforms.mocks import actions_for, play
 
 every_transform = pytest.mark.parametrize("name", sorted(CASES))
 #: Those that only look at what follows a step.
-OBSERVING = ("ContactViaPointTransform", "EpisodeMetricsTransform", "HeadingFrameTransform")
+OBSERVING = (
+    "ContactViaPointTransform",
+    "EnergyPenaltyTransform",
+    "EpisodeMetricsTransform",
+    "HeadingFrameTransform",
+)
 every_batch = pytest.mark.parametrize("batch", [(), (2,), (2, 1)], ids=str)
 
 # Workers fork from a server that has imported the library once, instead of importing it again each.

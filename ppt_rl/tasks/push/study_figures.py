@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ppt_rl.evaluation.runs import KeptRun
+from ppt_rl.evaluation.seeds import seeds_of
 from ppt_rl.evaluation.study_figures import plot_filmstrip, plot_promp
 from ppt_rl.evaluation.video import pictures
 from ppt_rl.tasks.push.prior import PUSH_AXES
@@ -31,7 +32,7 @@ def draw_push_study(groups: Mapping[str, Sequence[KeptRun]], directory: Path) ->
     for label, (run, *_) in groups.items():
         config, task = run.config(), run.recipe.task
         modules = run.recipe.make_modules(config)
-        seed = run.evaluation()["eval_seed"]
+        seed, *_ = seeds_of(run.evaluation()["eval_seed"])
         env = task.make_test_env(config, num_envs=task.pictures.rollouts, seed=seed, audit=False)
         episode = env.reset()[0]
         if run.recipe.has_reference and not (directory / "promp.png").exists():
