@@ -43,7 +43,7 @@ class Options:
 
 
 #: Capacities [J] at the power limit of the training, and power limits [W] at its capacity.
-_E_MAX = (1.0, 1.25, 1.35, 1.5, 2.0, 3.0)
+_E_MAX = (1.0, 1.15, 1.3, 1.5, 2.0, 3.0)
 _P_MAX = (1.0, 1.5, 2.0, 3.0, 5.0)
 
 

@@ -40,7 +40,7 @@ class Config(StepWiseConfig):
     """Train ST (step-wise PPO + energy tank) on box pushing.
 
     Attributes:
-        e_max: capacity of the tank [J]; None takes that of the goal: 1.35 J for a pose, 3 J for a position.
+        e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
         energy_penalty: reward subtracted for energy from the tank, in training [1/J].
     """
 

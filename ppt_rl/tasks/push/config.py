@@ -28,7 +28,7 @@ else:  # a number that __post_init__ fills in where it is None
 #: Defaults that depend on what has to be at the goal.
 _BY_GOAL = {
     "duration": {"pose": 1.5, "position": 3.0},
-    "e_max": {"pose": 1.35, "position": 3.0},
+    "e_max": {"pose": 1.3, "position": 3.0},
     "max_velocity": {"pose": 0.4, "position": 0.2},
 }
 
