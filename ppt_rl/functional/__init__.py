@@ -12,6 +12,7 @@ from ppt_rl.functional.impedance import (
     power,
 )
 from ppt_rl.functional.metrics import MetricsConfig, begin_metrics, summarise_metrics, update_metrics
+from ppt_rl.functional.tank_laws import parallel_tank, passive_tank, rate_tank
 
 __all__ = [
     "TANK_LAWS",
@@ -27,7 +28,10 @@ __all__ = [
     "joint_torque",
     "nullspace_torque",
     "orientation_error",
+    "parallel_tank",
+    "passive_tank",
     "power",
+    "rate_tank",
     "summarise_metrics",
     "update_metrics",
 ]
