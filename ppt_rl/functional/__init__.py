@@ -4,6 +4,7 @@ from ppt_rl.functional.contact import WallTouch
 from ppt_rl.functional.contact_via_point import ViaPointConfig
 from ppt_rl.functional.energy_tank import TANK_LAWS, EnergyTankStep, TankLaw, energy_tank
 from ppt_rl.functional.impedance import (
+    braking_part,
     cartesian_impedance,
     critical_damping,
     joint_torque,
@@ -22,6 +23,7 @@ __all__ = [
     "ViaPointConfig",
     "WallTouch",
     "begin_metrics",
+    "braking_part",
     "cartesian_impedance",
     "critical_damping",
     "energy_tank",

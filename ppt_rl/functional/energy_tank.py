@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from typing import Any
+
 from torch import Tensor
 
 from ppt_rl.functional.tank_laws import parallel_tank, passive_tank, rate_tank
-from ppt_rl.functional.tank_step import EnergyTankStep, TankLaw, budgets, charged, coarsest, upper_power
+from ppt_rl.functional.tank_step import EnergyTankStep, TankLaw, budgets, coarsest, settled, upper_power, valve_for
 
-__all__ = ["TANK_LAWS", "EnergyTankStep", "TankLaw", "energy_tank"]
+__all__ = ["TANK_LAWS", "EnergyTankStep", "TankLaw", "energy_tank", "law_reads"]
 
 
 def energy_tank(
@@ -59,7 +63,8 @@ def energy_tank(
     ulp = coarsest(effort.dtype, flow.dtype, energy.dtype)
     energy, p_max, e_max = budgets(energy, p_max, e_max)
     p, fits = upper_power(effort, flow, energy, ulp)
-    return charged(p, fits, energy, p_max=p_max, e_max=e_max, dt=dt, eps=eps, ulp=ulp)
+    valve = valve_for(p, fits, energy, p_max=p_max, dt=dt, eps=eps, ulp=ulp)
+    return settled(valve, valve * p, p > 0, energy, e_max=e_max, dt=dt, ulp=ulp)
 
 
 #: The laws of the tank by name: the values of ``mode`` that an ``EnergyTankTransform`` accepts.
@@ -69,3 +74,15 @@ TANK_LAWS: dict[str, TankLaw] = {
     "parallel": parallel_tank,
     "rate": rate_tank,
 }
+
+
+def law_reads(law: Callable[..., Any]) -> frozenset[str]:
+    """What a law reads besides effort, flow, level and limits, as its signature says.
+
+    Args:
+        law: the law.
+
+    Returns:
+        Those of ``"damping"`` and ``"inertia"`` that are among its arguments.
+    """
+    return frozenset({"damping", "inertia"} & set(inspect.signature(law).parameters))

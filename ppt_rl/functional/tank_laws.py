@@ -6,7 +6,16 @@ import torch
 from torch import Tensor
 
 from ppt_rl.functional.checks import require_finite
-from ppt_rl.functional.tank_step import EnergyTankStep, as_level, budgets, charged, coarsest, upper_power, within
+from ppt_rl.functional.tank_step import (
+    EnergyTankStep,
+    as_level,
+    budgets,
+    coarsest,
+    settled,
+    upper_power,
+    valve_for,
+    within,
+)
 
 __all__ = ["beside", "dissipative_part", "parallel_tank", "passive_tank", "rate_tank"]
 
@@ -64,11 +73,7 @@ def passive_tank(
     energy, p_max, e_max = budgets(energy, p_max, e_max)
     p, fits = upper_power(effort, flow, energy, ulp, signed=True)
     tiny, ulps = torch.finfo(energy.dtype).tiny, 4 * ulp
-    usable = torch.threshold(energy, tiny / ulps, 0.0)  # [J]
-    limit = (usable / dt).clamp_max(p_max) / p.clamp_min(eps)
-    valve = torch.threshold((limit * (1 - ulps)).clamp_max(1.0), tiny, 0.0)
-    valve = torch.where(p < 0, 1.0, valve)
-    valve = valve if fits is None else valve * fits
+    valve = torch.where(p < 0, 1.0, valve_for(p, fits, energy, p_max=p_max, dt=dt, eps=eps, ulp=ulp))
     power = valve * p
     paid, kept = power * dt, energy * (1 - ulps)  # [J]
     gained = torch.threshold(-paid, tiny / ulps, 0.0) * (1 - ulps)
@@ -89,19 +94,20 @@ def parallel_tank(
 ) -> EnergyTankStep:
     r"""A valve on the active part of an effort only; damping passes beside it, whatever the level.
 
-    With ``effort = active + damping``, the executed effort is ``damping + valve * active`` (:func:`beside`), and
+    With ``effort = active + damping``, what is executed is ``damping + valve * active`` (:func:`beside`), and
 
     .. math::
         \gamma &= \min\Big(1,\ \frac{P_{max}}{\max(\epsilon, p)},\ \frac{E}{\Delta t \max(\epsilon, p)}\Big),
         \quad p = |\mathrm{active} \cdot \mathrm{flow}| \\
         E' &= \mathrm{clip}(E - \gamma\, p\, \Delta t,\ 0,\ E_{max})
 
-    Damping takes energy out of the motion, ``damping . flow <= 0``, so nobody has to pay for it. A damping for which
-    that does not surely hold counts as active (:func:`dissipative_part`). Hence, for finite inputs whose products do
-    not underflow, the stored numbers satisfy, evaluated exactly,
+    Damping takes energy out of the motion, ``damping . flow <= 0``, so nobody has to pay for it, and an empty tank
+    brakes. A damping for which that does not surely hold counts as active (:func:`dissipative_part`). Hence, for finite
+    inputs whose products do not underflow, the stored numbers satisfy, evaluated exactly,
 
-    * ``|(valve * active) . flow| <= p_max``, and ``executed . flow <= p_max``; the power of braking has no limit;
-    * over an episode ``sum |(valve * active) . flow| dt <= E_0``, and ``sum executed . flow dt <= E_0``.
+    * ``valve |active . flow| <= p_max``, and ``executed . flow <= p_max``; the power of braking has no limit;
+    * over an episode ``sum valve |active . flow| dt <= E_0 - E``, and ``sum executed . flow dt <= E_0 - E``: the net
+      energy delivered is at most what the tank has lost.
 
     Args:
         effort: ``(*B, N)`` nominal effort, damping included: wrench [N, N m] or joint torque [N m].
@@ -126,10 +132,11 @@ def parallel_tank(
     energy, p_max, e_max = budgets(energy, p_max, e_max)
     require_finite("effort", effort)
     active = effort - dissipative_part(damping, flow)
-    fits = active.isfinite().all(-1, keepdim=True)
-    p, fits_too = upper_power(torch.where(fits, active, 0.0), flow, energy, ulp, roundings=6)
-    fits = fits if fits_too is None else fits & fits_too
-    return charged(p, fits, energy, p_max=p_max, e_max=e_max, dt=dt, eps=eps, ulp=ulp)
+    finite = active.isfinite().all(-1, keepdim=True)
+    p, fits = upper_power(torch.where(finite, active, 0.0), flow, energy, ulp, roundings=8)
+    fits = finite if fits is None else fits & finite
+    valve = valve_for(p, fits, energy, p_max=p_max, dt=dt, eps=eps, ulp=ulp)
+    return settled(valve, valve * p, p > 0, energy, e_max=e_max, dt=dt, ulp=ulp)
 
 
 def dissipative_part(damping: Tensor, flow: Tensor) -> Tensor:
@@ -244,8 +251,7 @@ def rate_tank(
     valve = torch.minimum(by_power, by_level) * fits * (1 - ulps)
     valve = torch.threshold(valve.clamp_max(1.0), tiny, 0.0)
     power = valve * (p + valve * (0.5 * gain))
-    level = torch.where(power > 0, energy * (1 - ulps), energy) - power * (dt * (1 + ulps))  # [J]
-    return as_level(EnergyTankStep(valve, within(level, e_max), power), energy)
+    return settled(valve, power, power > 0, energy, e_max=e_max, dt=dt, ulp=2 * ulp)
 
 
 def _root(p: Tensor, c: Tensor, limit: float | Tensor, eps: float) -> Tensor:

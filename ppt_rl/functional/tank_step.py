@@ -10,7 +10,17 @@ from torch import Tensor
 
 from ppt_rl.functional.checks import are_finite, require_finite
 
-__all__ = ["EnergyTankStep", "TankLaw", "as_level", "budgets", "charged", "coarsest", "upper_power", "within"]
+__all__ = [
+    "EnergyTankStep",
+    "TankLaw",
+    "as_level",
+    "budgets",
+    "coarsest",
+    "settled",
+    "upper_power",
+    "valve_for",
+    "within",
+]
 
 
 class EnergyTankStep(NamedTuple):
@@ -105,39 +115,56 @@ def upper_power(
     return torch.where(fits, p, 0.0), fits
 
 
-def charged(
+def valve_for(
     p: Tensor,
     fits: Tensor | None,
     energy: Tensor,
     *,
     p_max: float | Tensor,
-    e_max: float | Tensor,
     dt: float,
     eps: float,
     ulp: float,
-) -> EnergyTankStep:
-    """Limit a power and pay for what passes, rounded to the safe side: the paper's law for a given power.
+) -> Tensor:
+    """The valve that lets at most a limit and a level through, rounded down: that of the paper's law.
 
     Args:
-        p: ``(*B, 1)`` upper bound of the power, at least zero [W].
+        p: ``(*B, 1)`` upper bound of the power [W].
         fits: ``(*B, 1)`` where it fits the format; None stands for everywhere.
         energy: ``(*B, 1)`` level [J].
         p_max: power limit [W].
-        e_max: capacity [J].
         dt: control step [s].
         eps: smallest power that is divided by [W].
         ulp: distance from 1 to the next number of the coarsest input.
 
     Returns:
-        Valve, next level and scaled power.
+        ``(*B, 1)`` in [0, 1]; zero where it would be subnormal, or the level is.
     """
     tiny, ulps = torch.finfo(energy.dtype).tiny, 4 * ulp
     usable = torch.threshold(energy, tiny / ulps, 0.0)  # [J]
     limit = (usable / dt).clamp_max(p_max) / p.clamp_min(eps)
     limit = limit if fits is None else limit * fits
-    valve = torch.threshold((limit * (1 - ulps)).clamp_max(1.0), tiny, 0.0)
-    power = valve * p
-    level = torch.where(p > 0, energy * (1 - ulps), energy) - power * (dt * (1 + ulps))  # [J]
+    return torch.threshold((limit * (1 - ulps)).clamp_max(1.0), tiny, 0.0)
+
+
+def settled(
+    valve: Tensor, power: Tensor, is_paid: Tensor, energy: Tensor, *, e_max: float | Tensor, dt: float, ulp: float
+) -> EnergyTankStep:
+    """Pay for what passes, rounded up.
+
+    Args:
+        valve: ``(*B, 1)`` [-].
+        power: ``(*B, 1)`` to pay for, at least zero [W].
+        is_paid: ``(*B, 1)`` where anything is paid.
+        energy: ``(*B, 1)`` level before the step [J].
+        e_max: capacity [J].
+        dt: control step [s].
+        ulp: distance from 1 to the next number of the coarsest input.
+
+    Returns:
+        The result, in the precision of the level.
+    """
+    ulps = 4 * ulp
+    level = torch.where(is_paid, energy * (1 - ulps), energy) - power * (dt * (1 + ulps))  # [J]
     return as_level(EnergyTankStep(valve, within(level, e_max), power), energy)
 
 

@@ -67,8 +67,7 @@ def check_step(
         assert sum(terms) >= -doubt or out.valve == 1  # what surely brakes passes
     if name == "parallel":
         assert dot(fractions(passed), fractions(flow)) <= 0
-        scaled = [exact(out.valve) * x for x in fractions(effort - passed)]
-        active = abs(dot(scaled, fractions(flow)))
+        active = exact(out.valve) * abs(dot(fractions(effort - passed), fractions(flow)))
         assert active <= limit
         assert active * step <= paid
     if name == "rate":

@@ -17,7 +17,7 @@ from tests.functional.exact_tanks import LAW_CASES, check_step, dot, exact, frac
 F32, F64 = torch.float32, torch.float64
 each_dtype = pytest.mark.parametrize("dtype", [F32, F64], ids=["float32", "float64"])
 each_law = pytest.mark.parametrize("name", sorted(LAW_CASES))
-LAWS = settings(max_examples=60, deadline=None, derandomize=True)
+LAWS = settings(max_examples=40, deadline=None, derandomize=True)
 LIMITS = {"p_max": 2.0, "e_max": 3.0, "dt": 0.01}
 INERTIA = torch.tensor([1.58, 1.87, 1.21, 0.91, 0.127, 0.135])
 
@@ -237,7 +237,7 @@ def test_a_damping_of_another_space_is_refused():
 
 
 @each_dtype
-@settings(LAWS, max_examples=120)
+@settings(LAWS, max_examples=80)
 @given(
     force=st.floats(-3.0, 3.0), speed=st.floats(-4.0, 1.0), mass=st.floats(-1.0, 1.0), fullness=st.floats(1e-6, 1.0),
     sign=st.sampled_from([-1.0, 1.0]),
