@@ -12,6 +12,7 @@ from ppt_rl.functional.checks import Bounds, require_at_most
 from ppt_rl.functional.energy_tank import TANK_LAWS, law_reads
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.impedance import CartesianImpedanceController
+from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.training import RunConfig
 from ppt_rl.transforms import EnergyTankTransform
 
@@ -143,17 +144,17 @@ def motor_tank(p_max: float, e_max: float, mode: str = "paper", arm: Arm | None 
     Returns:
         The transform.
     """
-    read = tank_law(mode, None if arm is None else arm.joints.inertia)
+    read = tank_law(mode, None if arm is None else Kinematics(arm, tool_length=0.0))
     keys = ("motor_tank_energy", "motor_valve")
     return EnergyTankTransform(p_max, e_max, flow_key="joint_velocity", out_keys=keys, **read)
 
 
-def tank_law(mode: str, inertia: Sequence[float] | None) -> dict[str, Any]:
+def tank_law(mode: str, inertia: Sequence[float] | Kinematics | None) -> dict[str, Any]:
     """Arguments of an ``EnergyTankTransform`` that choose a law and give it what it reads.
 
     Args:
         mode: name of the law.
-        inertia: what the tank's effort accelerates.
+        inertia: what the tank's effort accelerates, as the transform takes it.
 
     Returns:
         Keyword arguments by name.

@@ -14,6 +14,7 @@ from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.energy_tank import TANK_LAWS
 from ppt_rl.functional.limits import EffortBounds, scale_into
 from ppt_rl.functional.tank_laws import beside
+from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.chain import transforms_after
 from ppt_rl.transforms.flow import flow_of_size, same_shape
@@ -86,8 +87,9 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         e_max: capacity of the tank, and its level at the start of an episode [J].
         dt: control step [s]; None takes it from the environment, and needs one.
         mode: name of the law; ``"paper"`` charges braking like pushing and never refills.
-        inertia: what the effort accelerates, for a law that reads it: a number for each axis, or a matrix [kg, kg m^2].
-            :attr:`Arm.joints.inertia <ppt_rl.arms.Joints>` for joint torque, ``arm.apparent_inertia`` for a wrench.
+        inertia: what the effort accelerates, for a law that reads it: a number for each axis or a matrix, none larger
+            than the true inertia [kg, kg m^2]; or, for joint torque, the arm's kinematics, which compute its matrix from
+            ``joint_position`` at every step. (Without its tool the arm is lighter: a lower bound.)
         effort_key: the action: a wrench [N, N m] or joint torque [N m].
         flow_key: the observed velocity that it works on; None takes ``twist`` or ``joint_velocity``, whichever has the
             action's size. Where both have it, as with an arm of six joints, say which.
@@ -129,7 +131,7 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         eps: float = 1e-6,
         out_keys: tuple[NestedKey, NestedKey] = ("tank_energy", "valve"),
         *,
-        inertia: Sequence[float] | Tensor | None = None,
+        inertia: Sequence[float] | Tensor | Kinematics | None = None,
         damping_key: NestedKey | None = None,
         p_max_key: NestedKey | None = None,
         e_max_key: NestedKey | None = None,
@@ -147,7 +149,9 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         self.eps = require_positive("eps", eps, "W")
         self.mode, self.law = mode, TANK_LAWS[mode]
         require_read(mode, self.law, damping_key, inertia)
-        self.register_buffer("inertia", None if inertia is None else require_inertia(inertia), persistent=False)
+        self.kinematics = inertia if isinstance(inertia, Kinematics) else None
+        constant = None if inertia is None or isinstance(inertia, Kinematics) else require_inertia(inertia)
+        self.register_buffer("inertia", constant, persistent=False)
         self.flow_key, self.damping_key = flow_key, damping_key
         self.p_max_key, self.e_max_key = p_max_key, e_max_key
         self.out_keys = list(out_keys)
@@ -155,7 +159,8 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
 
     @property
     def _readings(self) -> tuple[NestedKey, ...]:
-        return _FLOWS if self.flow_key is None else (self.flow_key,)
+        flows = _FLOWS if self.flow_key is None else (self.flow_key,)
+        return flows if self.kinematics is None else (*flows, "joint_position")
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (effort,) = self._require(tensordict, self.action_key)
@@ -167,7 +172,11 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         effort, factor = (effort, None) if bounds is None else scale_into(effort, bounds)
         p_max = self._limit(tensordict, self.p_max_key, self.p_max, effort)
         e_max = self._limit(tensordict, self.e_max_key, self.e_max, effort)
-        read: dict[str, Tensor] = {} if self.inertia is None else {"inertia": self.inertia.to(effort)}
+        read: dict[str, Tensor] = {}
+        if self.kinematics is not None:
+            read["inertia"] = self.kinematics.inertia(*self._recall(tensordict, "joint_position"))
+        elif self.inertia is not None:
+            read["inertia"] = self.inertia.to(effort)
         if self.damping_key is not None:
             (damping,) = self._require(tensordict, self.damping_key)
             read["damping"] = passing_part(self.damping_key, damping, effort, flow, bounds, factor)

@@ -62,7 +62,7 @@ def require_read(mode: str, law: Callable[..., Any], damping_key: NestedKey | No
         if is_read and not is_given:
             advice = {
                 "damping": "the key under which an ImpedanceTransform(damping_key=...) writes the damping",
-                "inertia": "the inertia that the effort accelerates, such as arm.joints.inertia for joint torque",
+                "inertia": "the inertia that the effort accelerates, such as the arm's Kinematics for joint torque",
             }
             raise ValueError(f"{argument} is None; expected {advice[name]}, which the law mode={mode!r} reads.")
         if is_given and not is_read:
