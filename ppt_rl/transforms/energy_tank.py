@@ -87,9 +87,9 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         e_max: capacity of the tank, and its level at the start of an episode [J].
         dt: control step [s]; None takes it from the environment, and needs one.
         mode: name of the law; ``"paper"`` charges braking like pushing and never refills.
-        inertia: what the effort accelerates, for a law that reads it: a number for each axis or a matrix, none larger
-            than the true inertia [kg, kg m^2]; or, for joint torque, the arm's kinematics, which compute its matrix from
-            ``joint_position`` at every step. (Without its tool the arm is lighter: a lower bound.)
+        inertia: what the effort accelerates, for a law that reads it: a number for each axis or a matrix, a lower bound
+            of the true one [kg, kg m^2]; or, for joint torque, the arm's kinematics, which compute its matrix from
+            ``joint_position`` at every step (without its tool, so it is a lower bound too).
         effort_key: the action: a wrench [N, N m] or joint torque [N m].
         flow_key: the observed velocity that it works on; None takes ``twist`` or ``joint_velocity``, whichever has the
             action's size. Where both have it, as with an arm of six joints, say which.

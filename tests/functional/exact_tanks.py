@@ -51,6 +51,23 @@ def check_step(
     """
     case = LAW_CASES[name]
     out = case.law(effort, flow, energy, p_max=p_max, e_max=e_max, dt=dt, **case.read(damping, inertia))
+    return check_result(name, out, effort, flow, damping, energy, inertia, p_max=p_max, e_max=e_max, dt=dt)
+
+
+def check_result(
+    name: str,
+    out: EnergyTankStep,
+    effort: Tensor,
+    flow: Tensor,
+    damping: Tensor,
+    energy: Tensor,
+    inertia: Tensor,
+    *,
+    p_max,
+    e_max,
+    dt,
+) -> tuple[Tensor, Fraction]:
+    """The same for a result of the law that is at hand already."""
     passed = dissipative_part(damping, flow) if name == "parallel" else torch.zeros_like(effort)
     executed = beside(out.valve, effort, passed) if name == "parallel" else out.valve * effort
     limit, step = max(exact(p_max), Fraction(0)), Fraction(dt)

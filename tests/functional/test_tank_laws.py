@@ -12,7 +12,7 @@ from torch.testing import assert_close
 
 from ppt_rl.functional import energy_tank, parallel_tank, passive_tank, rate_tank
 from ppt_rl.functional.tank_laws import beside, dissipative_part
-from tests.functional.exact_tanks import LAW_CASES, check_step, dot, exact, fractions
+from tests.functional.exact_tanks import LAW_CASES, check_result, check_step, dot, exact, fractions
 
 F32, F64 = torch.float32, torch.float64
 each_dtype = pytest.mark.parametrize("dtype", [F32, F64], ids=["float32", "float64"])
@@ -114,6 +114,28 @@ def test_a_power_that_overflows_closes_the_valve_and_leaves_the_level(name, dtyp
     for flow in (huge, -huge):
         out = LAW_CASES[name].law(huge, flow, torch.ones(1, 1, dtype=dtype), **LIMITS, **read)
         assert (out.valve.item(), out.energy.item(), out.power.item()) == (0.0, 1.0, 0.0)
+
+
+@pytest.mark.slow
+@each_law
+@each_dtype
+def test_a_hundred_thousand_hostile_steps_keep_the_invariants_exactly(name, dtype):
+    generator, rows = torch.Generator().manual_seed(1), 100_000
+    effort, flow, damping = torch.randn(3, rows, 6, generator=generator, dtype=F64)
+    scales = 10 ** torch.empty(3, rows, 6, dtype=F64).uniform_(-4.0, 8.0, generator=generator)
+    kind = torch.randint(4, (rows, 1), generator=generator)
+    at_right_angles = effort - flow * (effort * flow).sum(-1, keepdim=True) / flow.square().sum(-1, keepdim=True)
+    effort = torch.where(kind < 2, effort * scales[0], at_right_angles * scales[0][:, :1])
+    flow = torch.where(kind == 0, flow * scales[1], flow)
+    damping = torch.where(kind % 2 == 0, -scales[2] * flow, damping * scales[2])
+    energy = 3 * torch.rand(rows, 1, generator=generator, dtype=F64) ** 8
+    effort, flow, damping, energy = (value.to(dtype) for value in (effort, flow, damping, energy))
+    case, inertia = LAW_CASES[name], INERTIA.to(dtype)
+    out = case.law(effort, flow, energy, **LIMITS, **case.read(damping, inertia))
+    assert (out.valve < 1).any()
+    for i in range(rows):
+        row = type(out)(*(part[i] for part in out))
+        check_result(name, row, effort[i], flow[i], damping[i], energy[i], inertia, **LIMITS)
 
 
 # -- limits that are given per step ------------------------------------------------------------------------------------
