@@ -3,7 +3,7 @@
 Each attack is a policy that tries to get more power or work through than the tank allows. The executed power is torque
 times joint velocity at every control step, as the environment receives and observes them, evaluated in double
 precision; beside it stands what happened at the rate of the physics, which no law at control rate can bound: within a
-control step the torque is held while the velocity changes.
+control step the torque is held while the velocity changes. ``--mode rate`` bounds what the torque itself does to it.
 
 ``python benchmarks/attacks.py --steps 100000``
 """
@@ -20,7 +20,7 @@ from torchrl.envs import Compose, Transform, TransformedEnv
 
 from ppt_rl.envs import EngineConfig, PandaEnv
 from ppt_rl.modules import CartesianImpedanceController, Kinematics
-from ppt_rl.tasks import motor_tank
+from ppt_rl.tasks import damping_key, motor_tank
 from ppt_rl.training import run_script
 from ppt_rl.transforms import EnergyTankTransform, ImpedanceTransform, JointTorqueTransform
 
@@ -40,6 +40,8 @@ class Config:
         threads: physics threads; 0 takes one per CPU.
         p_max: power limit [W].
         e_max: capacity [J].
+        mode: law of the tank. Where braking is free, only power that leaves the robot counts, and its net work; where
+            the law reads a damping and no impedance writes it, the policy invents one.
         json: print one line of JSON only.
     """
 
@@ -48,6 +50,7 @@ class Config:
     threads: int = 0
     p_max: float = 2.0
     e_max: float = 3.0
+    mode: str = "paper"
     json: bool = False
 
 
@@ -92,24 +95,27 @@ def _residual(read: dict[str, Tensor], generator: torch.Generator) -> Tensor:
     return torch.cat([read["pose"][:, :3] + far, read["pose"][:, 3:], 1e3 * _normal(read, 6, generator)], -1)
 
 
-def _wrench(base: PandaEnv, posture_stiffness: float = 10.0) -> list[Transform]:
+def _wrench(base: PandaEnv, damping: str | None, posture_stiffness: float = 10.0) -> list[Transform]:
     kinematics = Kinematics(base.arm, base.tool_length)
-    return [JointTorqueTransform(kinematics, posture_stiffness=posture_stiffness)]
+    return [JointTorqueTransform(kinematics, posture_stiffness=posture_stiffness, damping_key=damping)]
 
 
-def _reference(base: PandaEnv, stiffness: float = 400.0, posture_stiffness: float = 10.0) -> list[Transform]:
-    controller = CartesianImpedanceController(stiffness)
-    return [*_wrench(base, posture_stiffness), EnergyTankTransform(flow_key="twist"), ImpedanceTransform(controller)]
+def _reference(
+    base: PandaEnv, damping: str | None, stiffness: float = 400.0, posture_stiffness: float = 10.0
+) -> list[Transform]:
+    spring = ImpedanceTransform(CartesianImpedanceController(stiffness), damping_key=damping)
+    return [*_wrench(base, damping, posture_stiffness), EnergyTankTransform(flow_key="twist"), spring]
 
 
-#: Policy and the transforms that it acts through, after the tank at the motors, by name.
-ATTACKS: dict[str, tuple[Policy, Callable[[PandaEnv], list[Transform]]]] = {
+#: Policy and the transforms that it acts through, after the tank at the motors, by name. The latter are made for an
+#: environment and the key of the damping.
+ATTACKS: dict[str, tuple[Policy, Callable[[PandaEnv, str | None], list[Transform]]]] = {
     "random": (_random, _wrench),
     "perpendicular": (_perpendicular, _wrench),
-    "bang-bang": (_bang_bang, lambda base: []),
-    "1e10 N m": (_huge, lambda base: []),
-    "posture 1000 N m/rad": (_posture, lambda base: _reference(base, posture_stiffness=1000.0)),
-    "reference 1e6 m away": (_residual, lambda base: _reference(base, stiffness=1e5)),
+    "bang-bang": (_bang_bang, lambda base, damping: []),
+    "1e10 N m": (_huge, lambda base, damping: []),
+    "posture 1000 N m/rad": (_posture, lambda base, damping: _reference(base, damping, posture_stiffness=1000.0)),
+    "reference 1e6 m away": (_residual, lambda base, damping: _reference(base, damping, stiffness=1e5)),
 }
 
 
@@ -131,14 +137,20 @@ def attack(name: str, run: Config, *, seed: int = 0) -> dict[str, float]:
     base = PandaEnv(
         run.num_envs, duration=3.0, seed=seed, engine=EngineConfig(num_threads=run.threads or None, audit=True)
     )
-    env = TransformedEnv(base, Compose(motor_tank(run.p_max, run.e_max), *chain(base)))
+    law = () if run.mode == "paper" else (run.mode, base.arm)
+    transforms, key = chain(base, damping_key(run.mode)), damping_key(run.mode)
+    env = TransformedEnv(base, Compose(motor_tank(run.p_max, run.e_max, *law), *transforms))
+    braking_counts = run.mode in ("paper", "rate")
     executed = _watched(base)
     generator, most = torch.Generator().manual_seed(seed), torch.zeros(5, dtype=torch.float64)
     done, td, work, closed = 0, env.reset(), torch.zeros(run.num_envs, dtype=torch.float64), 0
     while done < run.steps:
         read = {key: td[key] for key in ("pose", "twist", "joint_velocity")}
+        if key is not None:
+            td[key] = 100.0 * _normal(read, 6 if transforms else 7, generator)
         stepped, td = env.step_and_maybe_reset(td.set("action", policy(read, generator)))
-        power = (executed[-1].double() * read["joint_velocity"].double()).sum(-1).abs()
+        power = (executed[-1].double() * read["joint_velocity"].double()).sum(-1)
+        power = power.abs() if braking_counts else power
         work += 0.01 * power
         audit = stepped["next", "audit"]
         figures = power.max(), work.max(), audit["commanded_power"].max(), audit["commanded_work"].max()

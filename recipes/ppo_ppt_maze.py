@@ -14,7 +14,7 @@ from torchrl.envs import Transform, TransformedEnv
 from ppt_rl.envs import MazeEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, ProMP
-from ppt_rl.tasks import make_controller, motor_tank
+from ppt_rl.tasks import damping_key, make_controller, motor_tank, tank_law
 from ppt_rl.tasks.maze import (
     MAZE,
     RecedingConfig,
@@ -52,11 +52,12 @@ def make_modules(config: Config) -> dict[str, ProMP]:
 def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain in the maze: what stands above the macro step runs at control rate."""
     kinematics = Kinematics(base.arm, base.tool_length)
+    mode, damping = config.tank_mode, damping_key(config.tank_mode)
     return [
-        motor_tank(config.p_max, config.e_max),
-        JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness),
-        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
-        ImpedanceTransform(make_controller(config)),
+        motor_tank(config.p_max, config.e_max, mode, base.arm),
+        JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, damping_key=damping),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **tank_law(mode, base.arm.apparent_inertia)),
+        ImpedanceTransform(make_controller(config), damping_key=damping),
         EpisodeMetricsTransform(maze_metrics(config)),
         HeadingFrameTransform(),
         ContactViaPointTransform(config.promp_duration),

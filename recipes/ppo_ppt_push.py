@@ -16,7 +16,7 @@ from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.modules import Kinematics, ProMP, TaskSpace
-from ppt_rl.tasks import episode_metrics, make_controller, motor_tank
+from ppt_rl.tasks import damping_key, episode_metrics, make_controller, motor_tank, tank_law
 from ppt_rl.tasks.push import PUSH, PUSH_AXES, ByGoal, EpisodeLevelConfig, fit_push_prior, make_push_policy
 from ppt_rl.transforms import (
     EnergyPenaltyTransform,
@@ -37,11 +37,13 @@ class Config(EpisodeLevelConfig):
     Attributes:
         e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
         energy_penalty: reward subtracted for energy from the tank, in training [1/J].
+        tank_mode: law of both tanks: paper, passive, parallel or rate.
     """
 
     run_dir: Path = Path("runs/ppt_push")
     e_max: ByGoal = None  # type: ignore[assignment]
     energy_penalty: float = 0.5
+    tank_mode: str = "paper"
 
     bounds: ClassVar[dict[str, Bounds]] = {"energy_penalty": Bounds(0.0, 1e6, "1/J")}
 
@@ -53,12 +55,13 @@ def make_modules(config: Config) -> dict[str, ProMP]:
 
 def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain: what stands above the macro step runs at control rate."""
+    mode, damping = config.tank_mode, damping_key(config.tank_mode)
     return [
-        motor_tank(config.p_max, config.e_max),
-        JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
-        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
+        motor_tank(config.p_max, config.e_max, mode, base.arm),
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length), damping_key=damping),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **tank_law(mode, base.arm.apparent_inertia)),
         EnergyPenaltyTransform(config.energy_penalty),
-        ImpedanceTransform(make_controller(config)),
+        ImpedanceTransform(make_controller(config), damping_key=damping),
         EpisodeMetricsTransform(episode_metrics(config)),
         MacroStepTransform(config.chunk, discount=config.ppo.gamma),
         ProMPTransform(

@@ -16,7 +16,7 @@ from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.modules import Kinematics, ProMP
-from ppt_rl.tasks import episode_metrics, make_controller, motor_tank
+from ppt_rl.tasks import damping_key, episode_metrics, make_controller, motor_tank, tank_law
 from ppt_rl.tasks.push import (
     PUSH,
     ByGoal,
@@ -42,23 +42,26 @@ class Config(StepWiseConfig):
     Attributes:
         e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
         energy_penalty: reward subtracted for energy from the tank, in training [1/J].
+        tank_mode: law of both tanks: paper, passive, parallel or rate.
     """
 
     run_dir: Path = Path("runs/st_push")
     e_max: ByGoal = None  # type: ignore[assignment]
     energy_penalty: float = 0.5
+    tank_mode: str = "paper"
 
     bounds: ClassVar[dict[str, Bounds]] = {"energy_penalty": Bounds(0.0, 1e6, "1/J")}
 
 
 def make_chain(config: Config, base: PushEnv, promp: ProMP | None = None) -> list[Transform]:
     """ST's chain: the policy decides every few control steps, and everything else runs at control rate."""
+    mode, damping = config.tank_mode, damping_key(config.tank_mode)
     return [
-        motor_tank(config.p_max, config.e_max),
-        JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
-        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist"),
+        motor_tank(config.p_max, config.e_max, mode, base.arm),
+        JointTorqueTransform(Kinematics(base.arm, base.tool_length), damping_key=damping),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **tank_law(mode, base.arm.apparent_inertia)),
         EnergyPenaltyTransform(config.energy_penalty),
-        ImpedanceTransform(make_controller(config)),
+        ImpedanceTransform(make_controller(config), damping_key=damping),
         EpisodeMetricsTransform(episode_metrics(config)),
         *step_wise_transforms(config, base, promp),
     ]

@@ -8,7 +8,15 @@ from torch import Tensor
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.shape_checks import require_same_batch, require_trailing
 
-__all__ = ["cartesian_impedance", "critical_damping", "joint_torque", "nullspace_torque", "orientation_error", "power"]
+__all__ = [
+    "braking_part",
+    "cartesian_impedance",
+    "critical_damping",
+    "joint_torque",
+    "nullspace_torque",
+    "orientation_error",
+    "power",
+]
 
 
 def orientation_error(quat: Tensor, reference_quat: Tensor) -> Tensor:
@@ -99,6 +107,33 @@ def cartesian_impedance(
     rotation_error = orientation_error(pose[..., 3:], reference_pose[..., 3:])  # [-]
     error = torch.cat([position_error, rotation_error], -1)
     return stiffness * error + damping * (reference_twist - twist)
+
+
+def braking_part(twist: Tensor, reference_twist: Tensor, damping: Tensor) -> Tensor:
+    r"""The part of the damper's wrench that brakes, axis by axis; what is left of it pulls along or does nothing.
+
+    .. math:: d_i = \min\big(\max(D_i\,(\nu_{d,i} - \nu_i),\ \min(0, -D_i \nu_i)),\ \max(0, -D_i \nu_i)\big)
+
+    Behind a reference at rest it is the whole ``-D twist``. Behind one that moves, ``-D twist`` mostly cancels against
+    ``D twist_d``: only the part by which the end effector is faster than its reference brakes.
+
+    Args:
+        twist: ``(*B, 6)`` end-effector twist [m/s, rad/s].
+        reference_twist: ``(*B, 6)`` desired twist [m/s, rad/s].
+        damping: ``(*B, 6)`` diagonal of D [N s/m, N m s/rad].
+
+    Returns:
+        ``(*B, 6)`` wrench with ``d_i twist_i <= 0`` on every axis [N, N m].
+
+    Raises:
+        ValueError: if a shape does not fit.
+    """
+    for name, value in (("twist", twist), ("reference_twist", reference_twist), ("damping", damping)):
+        require_last_dim(name, value, 6)
+    require_same_batch(twist=twist, reference_twist=reference_twist, damping=damping)
+    whole = -damping * twist
+    damper = damping * (reference_twist - twist)
+    return torch.minimum(torch.maximum(damper, whole.clamp_max(0.0)), whole.clamp_min(0.0))
 
 
 def joint_torque(jacobian: Tensor, wrench: Tensor) -> Tensor:

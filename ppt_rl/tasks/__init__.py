@@ -1,5 +1,21 @@
 """What binds each task to learning, a folder each: options, prior, baselines, figures and the ``Task`` itself."""
 
-from ppt_rl.tasks.config import TaskConfig, env_settings, episode_metrics, make_controller, motor_tank
+from ppt_rl.tasks.config import (
+    TaskConfig,
+    damping_key,
+    env_settings,
+    episode_metrics,
+    make_controller,
+    motor_tank,
+    tank_law,
+)
 
-__all__ = ["TaskConfig", "env_settings", "episode_metrics", "make_controller", "motor_tank"]
+__all__ = [
+    "TaskConfig",
+    "damping_key",
+    "env_settings",
+    "episode_metrics",
+    "make_controller",
+    "motor_tank",
+    "tank_law",
+]

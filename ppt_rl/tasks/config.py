@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ppt_rl.arms import find_arm
+from ppt_rl.arms import Arm, find_arm
 from ppt_rl.envs import EngineConfig
 from ppt_rl.functional.checks import Bounds, require_at_most
+from ppt_rl.functional.energy_tank import TANK_LAWS, law_reads
 from ppt_rl.functional.metrics import MetricsConfig
 from ppt_rl.modules.impedance import CartesianImpedanceController
+from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.training import RunConfig
 from ppt_rl.transforms import EnergyTankTransform
 
-__all__ = ["TaskConfig", "env_settings", "episode_metrics", "make_controller", "motor_tank"]
+__all__ = [
+    "TaskConfig",
+    "damping_key",
+    "env_settings",
+    "episode_metrics",
+    "make_controller",
+    "motor_tank",
+    "tank_law",
+]
 
 #: Largest numbers of physics steps in a control step, of control steps in an episode, and in those of all environments.
 _MAX_SUBSTEPS, _MAX_STEPS, _MAX_TOTAL = 1000, 60_000, 20_000_000
@@ -59,6 +70,9 @@ class TaskConfig(RunConfig):
         substeps = self.control_dt / self.physics_dt
         require_at_most("control_dt / physics_dt", substeps, _MAX_SUBSTEPS, "raise physics_dt or lower control_dt")
         require_at_most("duration / control_dt", self.horizon, _MAX_STEPS, "lower duration or raise control_dt")
+        mode = getattr(self, "tank_mode", "paper")  # of the recipes with a tank
+        if mode not in TANK_LAWS:
+            raise ValueError(f"tank_mode is {mode!r}; expected one of {list(TANK_LAWS)}.")
         steps = self.num_envs * self.horizon
         require_at_most("num_envs * duration / control_dt", steps, _MAX_TOTAL, "lower num_envs or duration")
 
@@ -115,7 +129,7 @@ def episode_metrics(config: TaskConfig) -> MetricsConfig:
     return MetricsConfig(p_max=config.p_max)
 
 
-def motor_tank(p_max: float, e_max: float) -> EnergyTankTransform:
+def motor_tank(p_max: float, e_max: float, mode: str = "paper", arm: Arm | None = None) -> EnergyTankTransform:
     """The tank that stands first in a chain and bounds the torque that the motors execute, posture torque included.
 
     Its keys are ``motor_tank_energy`` and ``motor_valve``, so that a chain may also have the paper's tank, which bounds
@@ -124,8 +138,42 @@ def motor_tank(p_max: float, e_max: float) -> EnergyTankTransform:
     Args:
         p_max: power limit [W].
         e_max: capacity, and level at the start of an episode [J].
+        mode: name of its law.
+        arm: the arm, whose inertia some laws read; None for a law that does not.
 
     Returns:
         The transform.
     """
-    return EnergyTankTransform(p_max, e_max, flow_key="joint_velocity", out_keys=("motor_tank_energy", "motor_valve"))
+    read = tank_law(mode, None if arm is None else Kinematics(arm, tool_length=0.0))
+    keys = ("motor_tank_energy", "motor_valve")
+    return EnergyTankTransform(p_max, e_max, flow_key="joint_velocity", out_keys=keys, **read)
+
+
+def tank_law(mode: str, inertia: Sequence[float] | Kinematics | None) -> dict[str, Any]:
+    """Arguments of an ``EnergyTankTransform`` that choose a law and give it what it reads.
+
+    Args:
+        mode: name of the law.
+        inertia: what the tank's effort accelerates, as the transform takes it.
+
+    Returns:
+        Keyword arguments by name.
+    """
+    read: dict[str, Any] = {"mode": mode}
+    law = TANK_LAWS.get(mode)
+    if law is not None and "inertia" in law_reads(law):
+        read["inertia"] = inertia
+    return read if damping_key(mode) is None else read | {"damping_key": damping_key(mode)}
+
+
+def damping_key(mode: str) -> str | None:
+    """Where the damping travels beside the action, for a law that reads it.
+
+    Args:
+        mode: name of the law.
+
+    Returns:
+        The key; None where nobody reads it.
+    """
+    law = TANK_LAWS.get(mode)
+    return "damping" if law is not None and "damping" in law_reads(law) else None

@@ -2,28 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from tensordict import TensorDictBase
-from tensordict.utils import NestedKey, expand_as_right, unravel_key_list
+from tensordict.utils import NestedKey, unravel_key, unravel_key_list
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
-from ppt_rl.functional.checks import require_all, require_finite, require_positive
+from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.energy_tank import TANK_LAWS
 from ppt_rl.functional.limits import EffortBounds, scale_into
+from ppt_rl.functional.tank_laws import beside
+from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.chain import transforms_after
 from ppt_rl.transforms.flow import flow_of_size, same_shape
+from ppt_rl.transforms.joint_torque import JointTorqueTransform
+from ppt_rl.transforms.tank_inputs import (
+    limit_within,
+    passing_part,
+    require_inertia,
+    require_keys,
+    require_level,
+    require_read,
+)
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["EnergyTankTransform"]
 
 #: Velocities that an effort may work on.
 _FLOWS = ("twist", "joint_velocity")
-#: Largest difference between the level in the tensordict and the tank's own, as a share of the capacity [-].
-_SAME_LEVEL = 1e-5
 #: Where the bounds of the action are stored on the parent, which belongs to this transform alone.
 _BOUNDS = "_bounds_of_effort"
+#: Likewise the limits per step that this transform holds, by key.
+_HELD = "_held_limits_of_tank"
 
 
 class EnergyTankTransform(TimedTransform, ActionTransform):
@@ -34,9 +47,17 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         \quad p = |\mathrm{effort} \cdot \mathrm{flow}| \\
         E' &= \mathrm{clip}(E - \gamma\, p\, \Delta t,\ 0,\ E_{max})
 
-    This is the law of ``mode="paper"``; others are registered in :data:`~ppt_rl.functional.energy_tank.TANK_LAWS`. Its
-    state is two observations, each ``(*B, 1)``: the level ``tank_energy`` [J] and ``valve`` [-], the factor on the last
-    effort.
+    This is the law of ``mode="paper"``. Its state is two observations, each ``(*B, 1)``: the level ``tank_energy`` [J]
+    and ``valve`` [-], the factor on the last effort. There are other laws, and more can be registered in
+    :data:`~ppt_rl.functional.energy_tank.TANK_LAWS`:
+
+    * ``"passive"`` (:func:`~ppt_rl.functional.tank_laws.passive_tank`): braking passes and refills the tank. The bounds
+      are those of ``effort . flow`` with its sign: net energy, and no limit on the power of braking.
+    * ``"parallel"`` (:func:`~ppt_rl.functional.tank_laws.parallel_tank`): damping passes beside the valve, as long as
+      it brakes. An :class:`ImpedanceTransform` with the same ``damping_key`` writes it, and a
+      :class:`JointTorqueTransform` in between carries it to joint space.
+    * ``"rate"`` (:func:`~ppt_rl.functional.tank_laws.rate_tank`): the power counts at every moment of the control step
+      over which the effort is held, with the velocity that the effort itself adds, by ``inertia``.
 
     Where the tank stands in the chain decides what it guarantees:
 
@@ -48,8 +69,13 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
       task's wrench. Posture torque and torque limits come later, so it says nothing about the torque that is executed.
 
     Both count the velocity observed when the action is chosen as constant over the control step. What the velocity does
-    within the step is beyond them; ``EngineConfig(audit=True)`` measures it. Append a tank before a
-    :class:`MacroStepTransform`, never after.
+    within the step is beyond them; ``EngineConfig(audit=True)`` measures it, and ``mode="rate"`` counts the part that
+    the effort causes. Append a tank before a :class:`MacroStepTransform`, never after.
+
+    With ``p_max_key`` or ``e_max_key``, a policy or a schedule gives limits per step, ``(*B, 1)``, in [0, ``p_max``]
+    and [0, ``e_max``]; what lies outside is clamped to these hard bounds. A higher capacity does not fill the tank, a
+    lower one clips its level. Unless the environment already observes that key, the limit is part of the tank's state:
+    it begins at its hard bound and holds until it is written anew, over the control steps of a macro step too.
 
     In a simulator the tank keeps its own level, which no policy and no later transform reaches. A higher level in the
     tensordict is refused, so energy does not come back by stepping again from an old tensordict; a lower one counts. An
@@ -61,17 +87,24 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         e_max: capacity of the tank, and its level at the start of an episode [J].
         dt: control step [s]; None takes it from the environment, and needs one.
         mode: name of the law; ``"paper"`` charges braking like pushing and never refills.
+        inertia: what the effort accelerates, for a law that reads it: a number for each axis or a matrix, a lower bound
+            of the true one [kg, kg m^2]; or, for joint torque, the arm's kinematics, which compute its matrix from
+            ``joint_position`` at every step (without its tool, so it is a lower bound too).
         effort_key: the action: a wrench [N, N m] or joint torque [N m].
         flow_key: the observed velocity that it works on; None takes ``twist`` or ``joint_velocity``, whichever has the
             action's size. Where both have it, as with an arm of six joints, say which.
         eps: smallest power that is divided by [W].
+        damping_key: the damping part of the action, for a law that reads it.
+        p_max_key: power limit of the step ``(*B, 1)`` [W]; None takes ``p_max`` always.
+        e_max_key: capacity from the step on ``(*B, 1)`` [J]; None takes ``e_max`` always.
         out_keys: where the level and the valve are written. A second tank in the same chain needs others.
 
     Raises:
-        ValueError: if a number is out of range, the mode is unknown, an input is not finite, the flow is ambiguous or
-            of another shape, the tank stands after a macro step, another tank writes the same keys, a later transform
-            overwrites the level, the bounds of the action exclude zero, or the level is above the tank's own.
-        KeyError: if no flow is found, or no level in an environment.
+        ValueError: if a number is out of range, the mode is unknown, its law lacks what it reads or is given what it
+            does not, an input is not finite, the flow is ambiguous or of another shape, the tank stands after a macro
+            step, another tank writes the same keys, a later transform overwrites the level, the bounds of the action
+            exclude zero, or the level is above the tank's own.
+        KeyError: if no flow or damping is found, or no level or limit in an environment.
 
     Source:
         Paper, eq. (10) and section "Energy-Tank Layer for Safe Execution".
@@ -97,10 +130,14 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         flow_key: NestedKey | None = None,
         eps: float = 1e-6,
         out_keys: tuple[NestedKey, NestedKey] = ("tank_energy", "valve"),
+        *,
+        inertia: Sequence[float] | Tensor | Kinematics | None = None,
+        damping_key: NestedKey | None = None,
+        p_max_key: NestedKey | None = None,
+        e_max_key: NestedKey | None = None,
     ) -> None:
         super().__init__(effort_key)
-        if len(out_keys) != 2 or out_keys[0] == out_keys[1]:
-            raise ValueError(f"out_keys are {out_keys}; expected two: where the level and the valve are written.")
+        require_keys(out_keys, p_max_key, e_max_key)
         if mode not in TANK_LAWS:
             raise ValueError(
                 f"mode is {mode!r}; expected one of {list(TANK_LAWS)}. A law of your own is registered in "
@@ -111,13 +148,19 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         self.dt = dt
         self.eps = require_positive("eps", eps, "W")
         self.mode, self.law = mode, TANK_LAWS[mode]
-        self.flow_key = flow_key
+        require_read(mode, self.law, damping_key, inertia)
+        self.kinematics = inertia if isinstance(inertia, Kinematics) else None
+        constant = None if inertia is None or isinstance(inertia, Kinematics) else require_inertia(inertia)
+        self.register_buffer("inertia", constant, persistent=False)
+        self.flow_key, self.damping_key = flow_key, damping_key
+        self.p_max_key, self.e_max_key = p_max_key, e_max_key
         self.out_keys = list(out_keys)
         self.energy_key, self.valve_key = out_keys
 
     @property
     def _readings(self) -> tuple[NestedKey, ...]:
-        return _FLOWS if self.flow_key is None else (self.flow_key,)
+        flows = _FLOWS if self.flow_key is None else (self.flow_key,)
+        return flows if self.kinematics is None else (*flows, "joint_position")
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (effort,) = self._require(tensordict, self.action_key)
@@ -127,8 +170,19 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         energy = self._level(tensordict, effort)
         bounds = self._bounds()
         effort, factor = (effort, None) if bounds is None else scale_into(effort, bounds)
-        step = self.law(effort, flow, energy, p_max=self.p_max, e_max=self.e_max, dt=self.dt, eps=self.eps)
-        tensordict.set(self.action_key, step.valve * effort)
+        p_max = self._limit(tensordict, self.p_max_key, self.p_max, effort)
+        e_max = self._limit(tensordict, self.e_max_key, self.e_max, effort)
+        read: dict[str, Tensor] = {}
+        if self.kinematics is not None:
+            read["inertia"] = self.kinematics.inertia(*self._recall(tensordict, "joint_position"))
+        elif self.inertia is not None:
+            read["inertia"] = self.inertia.to(effort)
+        if self.damping_key is not None:
+            (damping,) = self._require(tensordict, self.damping_key)
+            read["damping"] = passing_part(self.damping_key, damping, effort, flow, bounds, factor)
+        step = self.law(effort, flow, energy, p_max=p_max, e_max=e_max, dt=self.dt, eps=self.eps, **read)
+        executed = beside(step.valve, effort, read["damping"]) if "damping" in read else step.valve * effort
+        tensordict.set(self.action_key, executed)
         self._stash(tensordict, self.energy_key, step.energy)
         self._stash(tensordict, self.valve_key, step.valve if factor is None else step.valve * factor)
         return tensordict
@@ -156,20 +210,40 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         own = self._remembered(tensordict, self.energy_key)
         if own is not None and own.device.type == "cpu" and torch.equal(given, own):
             return own
-        most, rows = self.e_max if own is None else own, self._stepping(tensordict)
-        if given.shape != (*effort.shape[:-1], 1):
-            raise ValueError(
-                f"the level {self.energy_key!r} has shape {tuple(given.shape)}; expected {(*effort.shape[:-1], 1)}."
-            )
-        require_finite(str(self.energy_key), given)
-        require_all(given >= 0, f"the level {self.energy_key!r} is negative; expected 0 to {self.e_max} J.")
-        lawful = given <= most + _SAME_LEVEL * self.e_max
-        require_all(
-            lawful if rows is None else lawful | ~expand_as_right(rows, lawful),
-            f"the level {self.energy_key!r} in the tensordict is above the tank's own, which is at most "
-            f"e_max={self.e_max} J; expected the one that reset or the last step returned. Step from that one.",
-        )
+        shape = (*effort.shape[:-1], 1)
+        require_level(self.energy_key, given, own, self.e_max, shape, self._stepping(tensordict))
         return given if own is None else torch.minimum(given, own)
+
+    # -- limits per step ----------------------------------------------------------------------------------------------
+
+    def _limit(self, tensordict: TensorDictBase, key: NestedKey | None, most: float, effort: Tensor) -> float | Tensor:
+        """A limit of this step: its hard bound, or what the tensordict says ``(*B, 1)``."""
+        if key is None:
+            return most
+        given = tensordict.get(key, None)
+        if given is None:
+            if self.parent is None:
+                return most
+            raise KeyError(
+                f"EnergyTankTransform finds no limit {key!r} in the tensordict; expected the one that reset or the "
+                "last step returned, or a policy's own. Step from their tensordict, and select this entry too."
+            )
+        limit = limit_within(key, given, most, effort)
+        if self.parent is not None and key in self._held():
+            self._stash(tensordict, key, limit)
+        return limit
+
+    def _held(self) -> dict[NestedKey, float]:
+        """Limits per step that are part of this tank's state, with their hard bounds: those nobody else observes."""
+        own, parent = {self.p_max_key: self.p_max, self.e_max_key: self.e_max}, self.parent
+        if own.keys() == {None}:
+            return {}
+        if _HELD not in parent.__dict__:
+            others = parent.full_observation_spec.keys(True, True)
+            parent.__dict__[_HELD] = {
+                key: most for key, most in own.items() if key is not None and unravel_key(key) not in others
+            }
+        return parent.__dict__[_HELD]
 
     # -- bounds -------------------------------------------------------------------------------------------------------
 
@@ -189,12 +263,15 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
     def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._unstash(tensordict, next_tensordict, self.energy_key)
         self._unstash(tensordict, next_tensordict, self.valve_key)
+        for key in self._held():
+            self._unstash(tensordict, next_tensordict, key)
         return next_tensordict
 
     def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)
-        for key, level in ((self.energy_key, self.e_max), (self.valve_key, 1.0)):
-            self._restart(tensordict, tensordict_reset, key, zeros[key] + level)
+        first = {self.energy_key: self.e_max, self.valve_key: 1.0, **self._held()}
+        for key, value in first.items():
+            self._restart(tensordict, tensordict_reset, key, zeros[key] + value)
         return tensordict_reset
 
     # -- specs --------------------------------------------------------------------------------------------------------
@@ -218,6 +295,8 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
                 f"{later} would overwrite the level {self.energy_key!r} of the tank; expected it unchanged. Give them "
                 "out_keys of their own, and let the policy read those."
             )
+        if self.damping_key is not None:
+            self._check_damping()
         bounds = self._bounds()
         if bounds is not None and (bool((bounds.low > 0).any()) or bool((bounds.high < 0).any())):
             raise ValueError(
@@ -225,8 +304,18 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
                 "closed valve sends zero. Shift the action before the tank."
             )
 
+    def _check_damping(self) -> None:
+        """Refuse a transform that turns the wrench into a torque and leaves its damping a wrench."""
+        keys = [other.damping_key for other in transforms_after(self) if isinstance(other, JointTorqueTransform)]
+        if any(key != self.damping_key for key in keys):
+            raise ValueError(
+                f"damping_key is {self.damping_key!r}, but the JointTorqueTransform after the tank has {keys[0]!r}; "
+                f"expected the same, so that it carries the damping to joint space. Pass it {self.damping_key!r} too."
+            )
+
     def _state_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:
         def column(high: float) -> Bounded:
             return Bounded(0.0, high, shape=(*like.shape[:-1], 1), dtype=like.dtype, device=like.device)
 
-        return {self.energy_key: column(self.e_max), self.valve_key: column(1.0)}
+        limits = {key: column(most) for key, most in self._held().items()}
+        return {self.energy_key: column(self.e_max), self.valve_key: column(1.0), **limits}

@@ -8,6 +8,7 @@ from torchrl.data import Composite
 
 from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.impedance import braking_part
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.specs import real, replace_leaf
@@ -27,6 +28,8 @@ class ImpedanceTransform(ActionTransform):
         action_key: the action: reference from outside, wrench towards the environment.
         pose_key: end-effector pose observation.
         twist_key: end-effector twist observation.
+        damping_key: where the part of the wrench that brakes (:func:`~ppt_rl.functional.impedance.braking_part`) is
+            written beside the action, for an :class:`EnergyTankTransform` that reads it; None writes none.
 
     Raises:
         ValueError: if the reference has another size than 13.
@@ -42,12 +45,14 @@ class ImpedanceTransform(ActionTransform):
         action_key: NestedKey = "action",
         pose_key: NestedKey = "pose",
         twist_key: NestedKey = "twist",
+        damping_key: NestedKey | None = None,
     ) -> None:
         super().__init__(action_key)
         require_instance("controller", controller, CartesianImpedanceController)
         self.controller = controller
         self.pose_key = pose_key
         self.twist_key = twist_key
+        self.damping_key = damping_key
 
     @property
     def _readings(self) -> tuple[NestedKey, ...]:
@@ -57,6 +62,9 @@ class ImpedanceTransform(ActionTransform):
         (reference,) = self._require(tensordict, self.action_key)
         pose, twist = self._recall(tensordict, self.pose_key, self.twist_key)
         require_last_dim("reference (pose and twist)", reference, 13)
+        if self.damping_key is not None:
+            damping = self.controller.damping.to(twist)
+            tensordict.set(self.damping_key, braking_part(twist, reference[..., 7:], damping.expand_as(twist)))
         wrench = self.controller(pose, twist, reference[..., :7], reference[..., 7:])
         return tensordict.set(self.action_key, wrench)
 

@@ -44,6 +44,9 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         max_torque_rate: largest rate of change of a joint torque [N m/s]; None sets no limit. Franka's own is 1000.
         dt: control step [s], needed with a rate limit; None takes it from the environment.
         action_key: the action: wrench from outside, torque towards the environment.
+        damping_key: the part of the wrench that damps, as an :class:`ImpedanceTransform` writes it beside the action;
+            it becomes the torque ``s J^T damping``, for an :class:`EnergyTankTransform` on joint torque. None leaves
+            it alone.
 
     Raises:
         ValueError: if the wrench has another size than 6, or a number is out of range.
@@ -63,6 +66,7 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         max_torque_rate: float | None = None,
         dt: float | None = None,
         action_key: NestedKey = "action",
+        damping_key: NestedKey | None = None,
     ) -> None:
         super().__init__(action_key)
         require_instance("kinematics", kinematics, Kinematics)
@@ -77,6 +81,7 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         rate = None if max_torque_rate is None else require_positive("max_torque_rate", max_torque_rate, "N m/s")
         self.max_torque_rate, self._needs_dt = rate, rate is not None
         self.dt = dt
+        self.damping_key = damping_key
         self._bounds: EffortBounds | None = None
         self.register_buffer("posture", require_numbers("posture", posture, [arm.num_joints]), persistent=False)
         self.register_buffer("joint_inertia", torch.tensor(arm.joints.inertia), persistent=False)
@@ -96,6 +101,12 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
             (velocity,) = self._recall(tensordict, "joint_velocity")
             posture = self.posture_stiffness * (self.posture.to(position) - position) - self.posture_damping * velocity
             torque = torque + nullspace_torque(jacobian, posture.to(torque), self.joint_inertia.to(torque))
+        torque, factor = scale_into(torque, self._limits(torque))
+        if self.damping_key is not None:
+            (damping,) = self._require(tensordict, self.damping_key)
+            require_last_dim(f"damping {self.damping_key!r}", damping, 6)
+            damping = joint_torque(jacobian, damping)
+            tensordict.set(self.damping_key, damping if factor is None else factor * damping)
         tensordict.set(self.action_key, self._limited(torque, tensordict))
         if self.parent is not None:
             self._stash(tensordict, "power", power(wrench, *self._recall(tensordict, "twist")))
@@ -110,7 +121,7 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         return bounds
 
     def _limited(self, torque: Tensor, tensordict: TensorDictBase) -> Tensor:
-        torque, _ = scale_into(torque, self._limits(torque))
+        """A torque within the limit on its rate."""
         if self.max_torque_rate is not None:
             last = self._known(tensordict, "torque")
             if last is not None:

@@ -10,13 +10,17 @@ from ppt_rl.functional import (
     MetricsConfig,
     ViaPointConfig,
     begin_metrics,
+    braking_part,
     cartesian_impedance,
     critical_damping,
     energy_tank,
     joint_torque,
     nullspace_torque,
     orientation_error,
+    parallel_tank,
+    passive_tank,
     power,
+    rate_tank,
     summarise_metrics,
     update_metrics,
 )
@@ -74,6 +78,11 @@ _TANKS = [
     bad(energy_tank, r"(tank_energy|energy).*\(2, 6\)", _TWIST, _TWIST, _TWIST, **_TANK),
     bad(energy_tank, r"tank_energy holds 2 NaN", _TWIST, _TWIST, _ONE * math.nan, **_TANK),
     bad(energy_tank, r"flow holds 12 NaN", _TWIST + 1, _TWIST * math.nan, _ONE, **_TANK),
+    bad(passive_tank, r"flow.*\(2, 7\)", _TWIST, _POSE, _ONE, **_TANK),
+    bad(parallel_tank, r"damping has shape \(2, 7\)", _TWIST, _TWIST, _ONE, damping=_POSE, **_TANK),
+    bad(parallel_tank, r"damping holds 12 NaN", _TWIST, _TWIST, _ONE, damping=_TWIST * math.nan, **_TANK),
+    bad(rate_tank, r"inertia has shape \(7,\)", _TWIST, _TWIST, _ONE, inertia=torch.ones(7), **_TANK),
+    bad(braking_part, r"reference_twist has shape \(2, 7\)", _TWIST, _POSE, _TWIST),
 ]
 _MEASURES = [
     *each(

@@ -10,14 +10,18 @@ from ppt_rl.functional import (
     MetricsConfig,
     ViaPointConfig,
     begin_metrics,
+    braking_part,
     cartesian_impedance,
     critical_damping,
     energy_tank,
     joint_torque,
     nullspace_torque,
     orientation_error,
+    parallel_tank,
+    passive_tank,
     power,
     promp,
+    rate_tank,
     rotations,
     summarise_metrics,
     update_metrics,
@@ -62,6 +66,19 @@ def tank(effort, flow, energy):
     return energy_tank(effort, flow, energy, p_max=1.0, e_max=3.0, dt=0.01)
 
 
+def passive(effort, flow, energy):
+    return passive_tank(effort, flow, energy, p_max=1.0, e_max=3.0, dt=0.01)
+
+
+def parallel(effort, flow, energy):
+    return parallel_tank(effort, flow, energy, p_max=1.0, e_max=3.0, dt=0.01, damping=-0.5 * flow)
+
+
+def rate(effort, flow, energy):
+    inertia = torch.ones(effort.shape[-1], dtype=effort.dtype)
+    return rate_tank(effort, flow, energy, p_max=1.0, e_max=3.0, dt=0.01, inertia=inertia)
+
+
 def touch_and_place(pose, force, velocity, heading):
     wall = wall_contact(force, velocity, heading, friction=0.25, slow=0.01)
     contact = is_touching(heading > 0, force[..., :1].abs(), on=0.5, off=0.1)
@@ -75,6 +92,10 @@ def measured(twist, wrench):
 
 #: Functions of tensors, each with arguments that have a batch dimension.
 CASES = {
+    "passive_tank": (passive, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
+    "parallel_tank": (parallel, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
+    "rate_tank": (rate, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
+    "braking_part": (braking_part, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 6))),
     "energy_tank": (tank, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
     "cartesian_impedance": (
         cartesian_impedance,

@@ -84,10 +84,12 @@ def test_other_than_two_keys_to_write_are_refused(keys):
 
 
 def test_an_unknown_mode_is_refused_with_the_names_of_the_laws(monkeypatch):
-    with pytest.raises(ValueError, match=r"mode is 'half'; expected one of \['paper'\]"):
+    with pytest.raises(ValueError, match=r"mode is 'half'; expected one of \['paper', 'passive', 'parallel', 'rate'\]"):
         EnergyTankTransform(mode="half")
     monkeypatch.setitem(TANK_LAWS, "half", half)
-    with pytest.raises(ValueError, match=r"mode is 'third'; expected one of \['paper', 'half'\]"):
+    with pytest.raises(
+        ValueError, match=r"mode is 'third'; expected one of \['paper', 'passive', 'parallel', 'rate', 'half'\]"
+    ):
         EnergyTankTransform(mode="third")
 
 

@@ -47,6 +47,7 @@ class MazeConfig(TaskConfig):
         follower_speed: speed of the hand-written follower, which is the baseline and gives the demonstrations [m/s].
         follower_lead: distance of its reference ahead of the tool [m].
         e_max: capacity of the tank [J].
+        tank_mode: law of both tanks: paper, passive, parallel or rate.
         cutoff: cutoff of the low-pass in the metrics of jerk and force [Hz].
         depth: distance of the reference below the tool, which presses it on the floor [m].
         layouts: JSON files of mazes to be judged in, taken in turn; with none, mazes are drawn at random.
@@ -65,6 +66,7 @@ class MazeConfig(TaskConfig):
     follower_speed: float = 0.055
     follower_lead: float = 0.004
     e_max: float = 3.0
+    tank_mode: str = "paper"
     cutoff: float = 10.0
     depth: float = 0.006
     layouts: tuple[Path, ...] = ()
