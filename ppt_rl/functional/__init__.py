@@ -12,19 +12,24 @@ from ppt_rl.functional.impedance import (
     power,
 )
 from ppt_rl.functional.metrics import MetricsConfig, begin_metrics, summarise_metrics, update_metrics
+from ppt_rl.functional.reference_governor import GovernedReference, catch_up, govern_reference, limit_drive
 
 __all__ = [
     "TANK_LAWS",
     "EnergyTankStep",
+    "GovernedReference",
     "MetricsConfig",
     "TankLaw",
     "ViaPointConfig",
     "WallTouch",
     "begin_metrics",
     "cartesian_impedance",
+    "catch_up",
     "critical_damping",
     "energy_tank",
+    "govern_reference",
     "joint_torque",
+    "limit_drive",
     "nullspace_torque",
     "orientation_error",
     "power",

@@ -17,6 +17,7 @@ from ppt_rl.transforms.pd_tracking import PDTrackingTransform
 from ppt_rl.transforms.power_limit import PowerLimitTransform
 from ppt_rl.transforms.promp import ProMPTransform
 from ppt_rl.transforms.receding_promp import RecedingKeys, RecedingProMPTransform
+from ppt_rl.transforms.reference_governor import ReferenceGovernorTransform
 from ppt_rl.transforms.reference_velocity import ReferenceVelocityTransform
 from ppt_rl.transforms.via_point import ViaPointTransform
 
@@ -35,6 +36,7 @@ __all__ = [
     "ProMPTransform",
     "RecedingKeys",
     "RecedingProMPTransform",
+    "ReferenceGovernorTransform",
     "ReferenceVelocityTransform",
     "ViaPointTransform",
 ]

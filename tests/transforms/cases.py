@@ -30,6 +30,7 @@ from ppt_rl.transforms import (
     ProMPTransform,
     RecedingKeys,
     RecedingProMPTransform,
+    ReferenceGovernorTransform,
     ReferenceVelocityTransform,
     ViaPointTransform,
 )
@@ -212,6 +213,16 @@ CASES: dict[str, Case] = {
         nested={
             "keys": RecedingKeys(action=("agent", "action"), pose=("agent", "pose"), heading=("agent", "start_heading"))
         },
+    ),
+    "ReferenceGovernorTransform": Case(
+        lambda **kwargs: ReferenceGovernorTransform(
+            **{"with_motion": True, "controller": CartesianImpedanceController(), **kwargs}
+        ),
+        inner=(13,),
+        outer=(13,),
+        state=("governed_pose", "governor_lag"),
+        timed=True,
+        nested={**_ACTION, "reading_keys": (("agent", "pose"), ("agent", "twist"))},
     ),
     "ReferenceVelocityTransform": Case(
         lambda **kwargs: ReferenceVelocityTransform(make_promp(), max_velocity=5.0, **kwargs),
