@@ -2,6 +2,13 @@
 
 from ppt_rl.functional.contact import WallTouch
 from ppt_rl.functional.contact_via_point import ViaPointConfig
+from ppt_rl.functional.energy_aware_impedance import (
+    PowerFactors,
+    damping_factor,
+    kinetic_energy,
+    spring_energy,
+    stiffness_factor,
+)
 from ppt_rl.functional.energy_tank import TANK_LAWS, EnergyTankStep, TankLaw, energy_tank
 from ppt_rl.functional.impedance import (
     cartesian_impedance,
@@ -19,6 +26,7 @@ __all__ = [
     "EnergyTankStep",
     "GovernedReference",
     "MetricsConfig",
+    "PowerFactors",
     "TankLaw",
     "ViaPointConfig",
     "WallTouch",
@@ -26,13 +34,17 @@ __all__ = [
     "cartesian_impedance",
     "catch_up",
     "critical_damping",
+    "damping_factor",
     "energy_tank",
     "govern_reference",
     "joint_torque",
+    "kinetic_energy",
     "limit_drive",
     "nullspace_torque",
     "orientation_error",
     "power",
+    "spring_energy",
+    "stiffness_factor",
     "summarise_metrics",
     "update_metrics",
 ]

@@ -6,6 +6,7 @@ environment of this library has it; where another has not, pass ``dt=``.
 
 from ppt_rl.transforms.cartesian_velocity import CartesianVelocityTransform
 from ppt_rl.transforms.contact_via_point import ContactViaPointTransform
+from ppt_rl.transforms.energy_aware_impedance import EnergyAwareImpedanceTransform
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
 from ppt_rl.transforms.episode_metrics import EpisodeMetricsTransform
 from ppt_rl.transforms.heading_frame import HeadingFrameTransform
@@ -24,6 +25,7 @@ from ppt_rl.transforms.via_point import ViaPointTransform
 __all__ = [
     "CartesianVelocityTransform",
     "ContactViaPointTransform",
+    "EnergyAwareImpedanceTransform",
     "EnergyTankTransform",
     "EpisodeMetricsTransform",
     "HeadingFrameTransform",

@@ -18,6 +18,7 @@ from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, Task
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     ContactViaPointTransform,
+    EnergyAwareImpedanceTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
     HeadingFrameTransform,
@@ -118,6 +119,14 @@ CASES: dict[str, Case] = {
         nested={f"{key}_key": ("agent", key) for key in ("pose", "twist", "wrench")}
         | {"heading_key": ("agent", "start_heading")},
         base={"via_points": False},
+    ),
+    "EnergyAwareImpedanceTransform": Case(
+        lambda **kwargs: EnergyAwareImpedanceTransform(CartesianImpedanceController(), 0.5, 1.0, **kwargs),
+        inner=(6,),
+        outer=(13,),
+        state=("stiffness_factor", "damping_factor"),
+        timed=True,
+        nested={**_ACTION, "pose_key": ("agent", "pose"), "twist_key": ("agent", "twist")},
     ),
     "EnergyTankTransform": Case(
         lambda **kwargs: EnergyTankTransform(p_max=1.0, e_max=0.02, **kwargs),
