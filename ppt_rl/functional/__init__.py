@@ -1,5 +1,6 @@
 """The library's control laws and metrics as pure functions of tensors."""
 
+from ppt_rl.functional.barrier import Barrier, PlaneBarrier, SpeedBarrier
 from ppt_rl.functional.contact import WallTouch
 from ppt_rl.functional.contact_via_point import ViaPointConfig
 from ppt_rl.functional.energy_aware_impedance import (
@@ -10,6 +11,7 @@ from ppt_rl.functional.energy_aware_impedance import (
     stiffness_factor,
 )
 from ppt_rl.functional.energy_tank import TANK_LAWS, EnergyTankStep, TankLaw, energy_tank
+from ppt_rl.functional.half_spaces import nearest_in_ball, project_half_space, project_half_spaces
 from ppt_rl.functional.impedance import (
     cartesian_impedance,
     critical_damping,
@@ -23,10 +25,13 @@ from ppt_rl.functional.reference_governor import GovernedReference, catch_up, go
 
 __all__ = [
     "TANK_LAWS",
+    "Barrier",
     "EnergyTankStep",
     "GovernedReference",
     "MetricsConfig",
+    "PlaneBarrier",
     "PowerFactors",
+    "SpeedBarrier",
     "TankLaw",
     "ViaPointConfig",
     "WallTouch",
@@ -40,9 +45,12 @@ __all__ = [
     "joint_torque",
     "kinetic_energy",
     "limit_drive",
+    "nearest_in_ball",
     "nullspace_torque",
     "orientation_error",
     "power",
+    "project_half_space",
+    "project_half_spaces",
     "spring_energy",
     "stiffness_factor",
     "summarise_metrics",

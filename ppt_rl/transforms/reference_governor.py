@@ -83,7 +83,7 @@ class ReferenceGovernorTransform(TimedTransform, ActionTransform):
     def __init__(
         self,
         f_max: float = 20.0,
-        torque_max: float = 3.0,
+        torque_max: float = 10.0,
         *,
         catch_up_speed: float | Sequence[float] = 0.25,
         with_motion: bool = False,

@@ -13,9 +13,10 @@ from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaMazeEnv, PandaPushEnv
-from ppt_rl.functional import MetricsConfig, ViaPointConfig
+from ppt_rl.functional import MetricsConfig, PlaneBarrier, SpeedBarrier, ViaPointConfig
 from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
+    BarrierTransform,
     CartesianVelocityTransform,
     ContactViaPointTransform,
     EnergyAwareImpedanceTransform,
@@ -90,6 +91,16 @@ class Case:
 _ACTION = {"action_key": ("agent", "action")}
 
 CASES: dict[str, Case] = {
+    "BarrierTransform": Case(
+        lambda **kwargs: BarrierTransform(
+            **{"barriers": [SpeedBarrier(0.1), PlaneBarrier(offset=0.1)], "force_rate": 50.0, **kwargs}
+        ),
+        inner=(6,),
+        outer=(6,),
+        state=("barrier_change", "barrier_force"),
+        timed=True,
+        nested={**_ACTION, "reading_keys": (("agent", "pose"), ("agent", "twist"))},
+    ),
     "CartesianVelocityTransform": Case(
         lambda **kwargs: CartesianVelocityTransform(TaskSpace(AXES, ORIGIN), max_lead=(0.05, 0.05, 0.2), **kwargs),
         inner=(13,),
