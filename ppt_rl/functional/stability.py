@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-__all__ = ["spectral_radius"]
+__all__ = ["largest_damping_factor", "spectral_radius"]
 
 
 def spectral_radius(inertia: Tensor, stiffness: Tensor, damping: Tensor, dt: float) -> Tensor:
@@ -38,3 +38,24 @@ def spectral_radius(inertia: Tensor, stiffness: Tensor, damping: Tensor, dt: flo
     position = torch.cat([eye - 0.5 * dt**2 * spring, dt * eye - 0.5 * dt**2 * damper], -1)
     velocity = torch.cat([-dt * spring, eye - dt * damper], -1)
     return torch.linalg.eigvals(torch.cat([position, velocity], -2)).abs().amax(-1)
+
+
+def largest_damping_factor(damping: Tensor, inertia: Tensor, dt: float) -> Tensor:
+    r"""How many times the damping may grow before a damper that acts at a fixed rate turns a velocity around.
+
+    .. math:: \beta_{max} = \max\Big(1,\ \min_i \frac{m_i}{d_i\,\Delta t}\Big)
+
+    A mass ``m`` whose damper ``d`` holds its force for a control step goes on with ``(1 - d dt / m) v``. Beside a
+    spring ``k`` it is stable (:func:`spectral_radius` at most 1) exactly for ``k dt^2 / 2 <= d dt <= 2 m``. So a
+    damping of up to ``beta_max`` times ``d`` keeps a stable axis stable, with a factor of two to spare for an inertia
+    that is smaller than the one given.
+
+    Args:
+        damping: ``(*B, n)`` diagonal of D [N s/m, N m s/rad].
+        inertia: ``(*B, n)`` diagonal of the apparent inertia M [kg, kg m^2].
+        dt: control step [s].
+
+    Returns:
+        ``(*B, 1)`` factor, at least 1; 1 also where the damping itself is too large.
+    """
+    return (inertia / (damping * dt)).amin(-1, keepdim=True).clamp_min(1.0)

@@ -87,6 +87,11 @@ class CartesianImpedanceController(nn.Module):
         """``(6,)`` diagonal of D [N s/m, N m s/rad]."""
         return self._damping(self.stiffness)
 
+    @property
+    def inertia(self) -> Tensor:
+        """``(6,)`` diagonal of M, the apparent inertia [kg, kg m^2]."""
+        return self._gain("inertia")
+
     def _damping(self, stiffness: Tensor) -> Tensor:
         if hasattr(self, "log_fixed_damping"):
             return self._gain("fixed_damping")

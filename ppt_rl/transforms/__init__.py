@@ -4,8 +4,10 @@ Those that work with time take the control step from the attribute ``control_dt`
 environment of this library has it; where another has not, pass ``dt=``.
 """
 
+from ppt_rl.transforms.barrier import BarrierTransform
 from ppt_rl.transforms.cartesian_velocity import CartesianVelocityTransform
 from ppt_rl.transforms.contact_via_point import ContactViaPointTransform
+from ppt_rl.transforms.energy_aware_impedance import EnergyAwareImpedanceTransform
 from ppt_rl.transforms.energy_penalty import EnergyPenaltyTransform
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
 from ppt_rl.transforms.episode_metrics import EpisodeMetricsTransform
@@ -18,12 +20,15 @@ from ppt_rl.transforms.pd_tracking import PDTrackingTransform
 from ppt_rl.transforms.power_limit import PowerLimitTransform
 from ppt_rl.transforms.promp import ProMPTransform
 from ppt_rl.transforms.receding_promp import RecedingKeys, RecedingProMPTransform
+from ppt_rl.transforms.reference_governor import ReferenceGovernorTransform
 from ppt_rl.transforms.reference_velocity import ReferenceVelocityTransform
 from ppt_rl.transforms.via_point import ViaPointTransform
 
 __all__ = [
+    "BarrierTransform",
     "CartesianVelocityTransform",
     "ContactViaPointTransform",
+    "EnergyAwareImpedanceTransform",
     "EnergyPenaltyTransform",
     "EnergyTankTransform",
     "EpisodeMetricsTransform",
@@ -37,6 +42,7 @@ __all__ = [
     "ProMPTransform",
     "RecedingKeys",
     "RecedingProMPTransform",
+    "ReferenceGovernorTransform",
     "ReferenceVelocityTransform",
     "ViaPointTransform",
 ]

@@ -13,11 +13,13 @@ from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaMazeEnv, PandaPushEnv
-from ppt_rl.functional import MetricsConfig, ViaPointConfig
+from ppt_rl.functional import MetricsConfig, PlaneBarrier, SpeedBarrier, ViaPointConfig
 from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
+    BarrierTransform,
     CartesianVelocityTransform,
     ContactViaPointTransform,
+    EnergyAwareImpedanceTransform,
     EnergyPenaltyTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
@@ -31,6 +33,7 @@ from ppt_rl.transforms import (
     ProMPTransform,
     RecedingKeys,
     RecedingProMPTransform,
+    ReferenceGovernorTransform,
     ReferenceVelocityTransform,
     ViaPointTransform,
 )
@@ -89,6 +92,16 @@ class Case:
 _ACTION = {"action_key": ("agent", "action")}
 
 CASES: dict[str, Case] = {
+    "BarrierTransform": Case(
+        lambda **kwargs: BarrierTransform(
+            **{"barriers": [SpeedBarrier(0.1), PlaneBarrier(offset=0.1)], "force_rate": 50.0, **kwargs}
+        ),
+        inner=(6,),
+        outer=(6,),
+        state=("barrier_change", "barrier_force"),
+        timed=True,
+        nested={**_ACTION, "reading_keys": (("agent", "pose"), ("agent", "twist"))},
+    ),
     "CartesianVelocityTransform": Case(
         lambda **kwargs: CartesianVelocityTransform(TaskSpace(AXES, ORIGIN), max_lead=(0.05, 0.05, 0.2), **kwargs),
         inner=(13,),
@@ -122,6 +135,14 @@ CASES: dict[str, Case] = {
     "EnergyPenaltyTransform": Case(
         lambda **kwargs: EnergyPenaltyTransform(0.5, **{"energy_key": "start_heading", **kwargs}),
         nested={"energy_key": ("agent", "start_heading")},
+    ),
+    "EnergyAwareImpedanceTransform": Case(
+        lambda **kwargs: EnergyAwareImpedanceTransform(CartesianImpedanceController(), 0.5, 1.0, **kwargs),
+        inner=(6,),
+        outer=(13,),
+        state=("stiffness_factor", "damping_factor"),
+        timed=True,
+        nested={**_ACTION, "pose_key": ("agent", "pose"), "twist_key": ("agent", "twist")},
     ),
     "EnergyTankTransform": Case(
         lambda **kwargs: EnergyTankTransform(p_max=1.0, e_max=0.02, **kwargs),
@@ -217,6 +238,16 @@ CASES: dict[str, Case] = {
         nested={
             "keys": RecedingKeys(action=("agent", "action"), pose=("agent", "pose"), heading=("agent", "start_heading"))
         },
+    ),
+    "ReferenceGovernorTransform": Case(
+        lambda **kwargs: ReferenceGovernorTransform(
+            **{"with_motion": True, "controller": CartesianImpedanceController(), **kwargs}
+        ),
+        inner=(13,),
+        outer=(13,),
+        state=("governed_pose", "governor_lag"),
+        timed=True,
+        nested={**_ACTION, "reading_keys": (("agent", "pose"), ("agent", "twist"))},
     ),
     "ReferenceVelocityTransform": Case(
         lambda **kwargs: ReferenceVelocityTransform(make_promp(), max_velocity=5.0, **kwargs),
