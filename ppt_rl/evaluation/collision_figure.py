@@ -47,7 +47,7 @@ def plot_collisions(groups: Mapping[str, Mapping[str, Mapping[str, NDArray[Any]]
     panels[1].set_xticks(range(len(groups)), [group.replace(", ", "\n") for group in groups])
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
-    figure.suptitle("bar: mean over episodes; whisker: 95th percentile; dot: maximum", fontsize=9, y=0.0, va="bottom")
+    figure.supxlabel("bar: mean over episodes; whisker: 95th percentile; dot: maximum", fontsize=9)
     save_figure(figure, path)
 
 

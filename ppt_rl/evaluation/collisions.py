@@ -39,11 +39,13 @@ class Collisions:
     Attributes:
         scenarios: the scenarios.
         rows: by policy and scenario: a value an episode for every quantity of :data:`QUANTITIES`, and ``success``,
-            ``contact`` and ``kind``.
+            ``contact``, ``contact_time`` and ``kind``.
+        labels: names of the policies in the figure, by policy.
     """
 
     scenarios: Sequence[Scenario]
     rows: Mapping[str, Mapping[str, Rows]]
+    labels: Mapping[str, str]
 
     def summary(self, policy: str, scenario: Scenario) -> dict[str, Any]:
         """What is reported of a policy in a scenario.
@@ -116,7 +118,8 @@ class Collisions:
             summary["every_episode"] = rows_of(self.rows[summary["policy"]][summary["scenario"]])
         write_text_atomically(directory / "collisions.md", self.tables())
         write_text_atomically(directory / "collisions.json", json.dumps(summaries, indent=1) + "\n")
-        plot_collisions(dict(self.groups()), directory / "collisions.png")
+        drawn = {group: {self.labels[policy]: rows for policy, rows in found.items()} for group, found in self.groups()}
+        plot_collisions(drawn, directory / "collisions.png")
 
 
 def scenarios_of(policies: Mapping[str, Policy], names: Sequence[str] = ()) -> list[Scenario]:
@@ -186,7 +189,13 @@ def collide(
             rows[label][scenario.name] = {
                 name: found[name] for name in (*QUANTITIES, "contact_time", "contact", "success", "kind")
             }
-    return Collisions(chosen, rows)
+    return Collisions(chosen, rows, _labels(policies))
+
+
+def _labels(policies: Mapping[str, Policy]) -> dict[str, str]:
+    """Labels of the variants; where two are the same, what the policies were called."""
+    found = [policy.recipe.label for policy in policies.values()]
+    return {name: label if found.count(label) == 1 else name for name, label in zip(policies, found, strict=True)}
 
 
 def _by_kind(scenario: Scenario, rows: Rows) -> Iterator[tuple[str, Rows]]:

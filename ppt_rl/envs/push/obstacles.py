@@ -11,7 +11,7 @@ import numpy as np
 from ppt_rl.envs.limits import Bound, require_within
 from ppt_rl.functional.argument_checks import shown
 
-__all__ = ["HAND", "WALL", "Obstacle", "Place", "Plate", "add_plates", "set_solid", "write_plate"]
+__all__ = ["HAND", "WALL", "Obstacle", "Place", "Plate", "add_plates", "facing", "set_solid", "write_plate"]
 
 #: What the plates stand across: the path of the tool, the path of the box; or they lie on the table.
 Place = Literal["tool", "box", "table"]
@@ -23,6 +23,8 @@ _PAD_DAMPING = 10.0
 _IMMOVABLE = 1e8
 #: MuJoCo's ``solref`` and ``solimp`` of a contact with a pad, almost rigid: the spring behind it is what gives way.
 _RIGID, _FIRM = (0.001, 1.0), (0.95, 0.99, 0.0005)
+#: Clear distance between the front of a plate and the tool at the start [m].
+_CLEAR = 0.03
 _BOUNDS: dict[str, Bound] = {"along": (0.0, 1.0, ""), "gap": (0.0, 0.5, "m"), "jump": (0.0, 1.0, "m")}
 _RANGES: dict[str, Bound] = {"hold": (0.0, 10.0, "s")}
 
@@ -180,16 +182,27 @@ def set_solid(model: Any, index: int, solid: bool) -> None:
     geom.rgba[3] = float(solid)
 
 
-def across(begin: np.ndarray, end: np.ndarray, along: float) -> tuple[np.ndarray, float]:
-    """A point on the way from one place to another, and the heading of the way.
+def facing(
+    point: np.ndarray, way: np.ndarray, *, start: np.ndarray, end: np.ndarray, tool: tuple[float, float]
+) -> float:
+    """Heading of the normal of a plate through a point: that of the way, or turned until the tool starts in front.
+
+    A wide plate across an oblique push may reach the place where the tool starts. Its normal then turns towards the
+    line from there to the end of the push, as little as need be.
 
     Args:
-        begin: ``(2,)`` [m].
-        end: ``(2,)`` [m].
-        along: share of the way [-].
+        point: ``(2,)`` of the middle of the front [m].
+        way: ``(2,)`` direction in which the push goes there.
+        start: ``(2,)`` where the tool starts [m].
+        end: ``(2,)`` where it ends [m].
+        tool: half size of the tool along x and y at the start [m].
 
     Returns:
-        The point ``(2,)`` [m] and the heading [rad].
+        The heading [rad].
     """
-    way = end - begin
-    return begin + along * way, math.atan2(way[1], way[0])
+    push, overall = math.atan2(way[1], way[0]), math.atan2(end[1] - start[1], end[0] - start[0])
+    heading = push + np.linspace(0.0, 1.0, 21) * (overall - push)
+    ahead = np.stack([np.cos(heading), np.sin(heading)], -1)
+    clear = ahead @ (point - start) - np.abs(ahead) @ np.asarray(tool)
+    enough = clear >= _CLEAR
+    return float(heading[enough.argmax() if enough.any() else -1])

@@ -12,7 +12,7 @@ from torchrl.data import Composite
 from ppt_rl.envs.arm import Rows
 from ppt_rl.envs.contact_audit import CONTACT, ContactAudit
 from ppt_rl.envs.push.env import PushEnv
-from ppt_rl.envs.push.obstacles import Obstacle, across, add_plates, set_solid, write_plate
+from ppt_rl.envs.push.obstacles import Obstacle, add_plates, facing, set_solid, write_plate
 from ppt_rl.envs.push.scene import PUSH_BOX
 from ppt_rl.envs.row_generators import RowGenerators
 from ppt_rl.envs.specs import SpecMaker
@@ -80,6 +80,7 @@ class ObstructedPushEnv(PushEnv):
         self._count = np.arange(self.num_envs) + self.first_row - 1  # an episode later, that of the row and its episode
         self._moment = np.zeros(self.num_envs)  # [0, 1]
         self._held = np.ones(self.num_envs, dtype=bool)
+        self._start = torch.zeros(self.num_envs, 2, dtype=self.dtype)  # of the tool [m]
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:
@@ -99,10 +100,12 @@ class ObstructedPushEnv(PushEnv):
         if self.obstacle.rise:
             pose = pose.clone()
             pose[:, 2] = self.obstacle.rise + self.tool.half_extent[2] + _CLEARANCE
+        self._began_at = pose[:, :2].to(self.dtype)
         return super()._arm_position(pose)
 
     def _begin(self, rows: Rows) -> np.ndarray:
         position = super()._begin(rows)
+        self._start[torch.from_numpy(rows)] = self._began_at
         self._count[rows] += 1
         self._held[rows] = True
         self._moment[rows] = self._fates.uniform(rows, 1)[:, 0]
@@ -122,16 +125,17 @@ class ObstructedPushEnv(PushEnv):
         if obstacle.place == "table":
             self._front[rows], self._heading[rows] = (0.5, 0.0, obstacle.rise), 0.0
             return
-        if obstacle.place == "tool":
-            zeros = torch.zeros_like(episode.box_start)
-            begin, end = self._via_points(zeros)[:, 1:, :2].double().unbind(1)
-        else:
-            begin, end = episode.box_start.double(), episode.goal.double()
+        start, behind, end = self._via_points(self._start)[:, :, :2].double().numpy().swapaxes(0, 1)
+        if obstacle.place == "box":
+            behind, end = episode.box_start.double().numpy(), episode.goal.double().numpy()
         for row in rows:
-            point, heading = across(begin[row].numpy(), end[row].numpy(), obstacle.along)
-            ahead = np.asarray([np.cos(heading), np.sin(heading)])
+            way = end[row] - behind[row]
+            point = behind[row] + obstacle.along * way
             if obstacle.place == "box":
-                point = point + float(episode.half[row]) * ahead
+                point = point + float(episode.half[row]) * way / np.linalg.norm(way)
+            reach = max(self.tool.half_extent[0], self.tool.stem_radius), self.tool.half_extent[1]
+            heading = facing(point, way, start=start[row], end=end[row], tool=reach)
+            ahead = np.asarray([np.cos(heading), np.sin(heading)])
             for index, plate in enumerate(obstacle.plates):
                 self._front[row, index] = (*point, plate.half_size[2])
                 point = point + (2 * plate.half_size[0] + obstacle.gap) * ahead

@@ -57,7 +57,7 @@ SCENARIOS = (
     _scenario(
         "release",
         "a stop that the tool pushes against vanishes, 5 cm in front of a wall",
-        Obstacle((WALL, WALL), along=0.3, hold=(0.1, 0.2)),
+        Obstacle((WALL, WALL), along=0.3, hold=(0.05, 0.15)),
     ),
     _scenario(
         "sensor",
