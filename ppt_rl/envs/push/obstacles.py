@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ppt_rl.envs.limits import Bound, require_within
-from ppt_rl.functional.argument_checks import shown
+from ppt_rl.functional.argument_checks import require_instance, require_numbers, shown
 
 __all__ = ["HAND", "WALL", "Obstacle", "Place", "Plate", "add_plates", "facing", "set_solid", "write_plate"]
 
@@ -26,7 +26,6 @@ _RIGID, _FIRM = (0.001, 1.0), (0.95, 0.99, 0.0005)
 #: Clear distance between the front of a plate and the tool at the start [m].
 _CLEAR = 0.03
 _BOUNDS: dict[str, Bound] = {"along": (0.0, 1.0, ""), "gap": (0.0, 0.5, "m"), "jump": (0.0, 1.0, "m")}
-_RANGES: dict[str, Bound] = {"hold": (0.0, 10.0, "s")}
 
 
 @dataclass(frozen=True)
@@ -51,6 +50,7 @@ class Plate:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
+        require_numbers("Plate.half_size", self.half_size, (3,), unit="m")
         for size in self.half_size:
             require_within("a side of Plate.half_size", size, (1e-4, 1.0, "m"))
         require_within("Plate.stiffness", self.stiffness, (1e3, 1.5e5, "N/m"))
@@ -99,13 +99,16 @@ class Obstacle:
         if self.place not in get_args(Place):
             raise ValueError(f"Obstacle.place is {shown(self.place)}; expected one of {list(get_args(Place))}.")
         least = 1 if self.hold is None else 2
-        if len(self.plates) < least:
-            raise ValueError(f"Obstacle.plates has {len(self.plates)} plates; expected at least {least}.")
-        if not self.clamped:
-            raise ValueError("Obstacle.clamped is empty; expected at least one truth value.")
+        if not isinstance(self.plates, tuple) or len(self.plates) < least:
+            raise ValueError(f"Obstacle.plates is {shown(self.plates)}; expected a tuple of at least {least} plates.")
+        for plate in self.plates:
+            require_instance("an entry of Obstacle.plates", plate, Plate)
+        if not isinstance(self.clamped, tuple) or not self.clamped:
+            raise ValueError(f"Obstacle.clamped is {shown(self.clamped)}; expected a tuple of one truth value or more.")
         if self.hold is not None:
-            require_within("an end of Obstacle.hold", min(self.hold), _RANGES["hold"])
-            require_within("an end of Obstacle.hold", max(self.hold), _RANGES["hold"])
+            low, high = (float(end) for end in require_numbers("Obstacle.hold", self.hold, (2,), unit="s"))
+            if not 0 <= low <= high:
+                raise ValueError(f"Obstacle.hold is {self.hold}; expected 0 <= low <= high [s].")
 
     @property
     def rise(self) -> float:

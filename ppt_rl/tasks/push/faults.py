@@ -20,7 +20,11 @@ _HISTORY = "wrench_history"
 
 
 class JumpingReferenceTransform(ActionTransform):
-    """Moves the position of the reference, ``(*B, 13)``, by what the environment's ``reference_offset()`` says [m]."""
+    """Moves the position of the reference by what the environment's ``reference_offset()`` says [m].
+
+    Args:
+        action_key: the reference, ``(*B, 13)`` pose and twist.
+    """
 
     _at_control_rate = True
 
