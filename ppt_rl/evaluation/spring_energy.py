@@ -14,8 +14,8 @@ from ppt_rl.transforms.specs import real
 
 __all__ = ["SPRING_ENERGY", "SpringEnergyTransform"]
 
-#: Key of the energy.
-SPRING_ENERGY = "spring_energy"
+#: Key of the energy, and of a factor on the stiffness that an impedance may write.
+SPRING_ENERGY, _FACTOR = "spring_energy", "stiffness_factor"
 
 
 class SpringEnergyTransform(ActionTransform):
@@ -23,8 +23,9 @@ class SpringEnergyTransform(ActionTransform):
 
     .. math:: E = \tfrac12\,e^\top K\,e, \qquad e = [x_d - x;\ e_R]
 
-    from the reference that reaches the controller, the measured pose and the controller's stiffness. It writes
-    ``spring_energy`` ``(*B, 1)`` [J] and leaves the reference alone. Append it right after the impedance.
+    from the reference that reaches the controller, the measured pose and the controller's stiffness; where an impedance
+    that softens its spring writes ``stiffness_factor``, K is multiplied by it. It writes ``spring_energy`` ``(*B, 1)``
+    [J] and leaves the reference alone. Append it right after the impedance.
 
     Args:
         controller: the controller whose spring it is.
@@ -50,16 +51,19 @@ class SpringEnergyTransform(ActionTransform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (reference,) = self._require(tensordict, self.action_key)
-        pose, before = self._recall(tensordict, self.pose_key, SPRING_ENERGY)
+        (pose,) = self._recall(tensordict, self.pose_key)
         linear = reference[..., :3] - pose[..., :3]
         error = torch.cat([linear, orientation_error(pose[..., 3:], reference[..., 3:7])], -1)
         energy = 0.5 * (self.controller.stiffness.to(error.dtype) * error.square()).sum(-1, keepdim=True)
-        self._stash(tensordict, SPRING_ENERGY, torch.maximum(before, energy))
+        self._stash(tensordict, SPRING_ENERGY, energy)
         return tensordict
 
     def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._unstash(tensordict, next_tensordict, SPRING_ENERGY)
-        return next_tensordict
+        energy, factor = next_tensordict.get(SPRING_ENERGY), next_tensordict.get(_FACTOR, None)
+        energy = energy if factor is None else factor * energy
+        (before,) = self._recall(tensordict, SPRING_ENERGY)
+        return next_tensordict.set(SPRING_ENERGY, torch.maximum(before, energy))
 
     def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 from torch.testing import assert_close
-from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs import Compose, Transform, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from ppt_rl.envs import ArmEnv, EngineConfig
@@ -50,6 +50,22 @@ def test_it_is_the_largest_of_the_episode_and_starts_again_with_the_next(env):
     again = env.reset(tensordict.clone().set("_reset", mask))
     assert again["spring_energy"][0] == 0
     assert_close(again["spring_energy"][1:], tensordict["spring_energy"][1:])
+
+
+def test_a_softened_spring_holds_less(env):
+    class Softened(Transform):
+        """Writes the factor that an impedance with a softened spring writes."""
+
+        def _call(self, next_tensordict):
+            return next_tensordict.set("stiffness_factor", torch.full((3, 1), 0.25).double())
+
+        def _reset(self, tensordict, tensordict_reset):
+            return self._call(tensordict_reset)
+
+    env.transform.insert(0, Softened())
+    tensordict = env.reset()
+    after = env.step(tensordict.set("action", reference(tensordict["pose"], (0.02, 0.0, 0.0))))["next"]
+    assert_close(after["spring_energy"], torch.full((3, 1), 0.25 * 0.5 * 100 * 0.02**2).double(), rtol=1e-3, atol=0)
 
 
 def test_it_fits_its_specs(env):
