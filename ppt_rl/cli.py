@@ -1,4 +1,4 @@
-"""The command ``ppt-rl``: train, judge, film, compare and calibrate, for every task."""
+"""The command ``ppt-rl``: train, judge, film, collide, compare and calibrate, for every task."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from ppt_rl.collide_command import Collide
 from ppt_rl.commands import CalibrateTank, Evaluate, Film, Policies, Study, Sweep, Train
 
 __all__ = ["main"]
@@ -20,6 +21,7 @@ _Command = (
     _command(Train, "train")
     | _command(Evaluate, "evaluate")
     | _command(Film, "film")
+    | _command(Collide, "collide")
     | _command(Study, "study")
     | _command(CalibrateTank, "calibrate-tank")
     | _command(Sweep, "sweep")

@@ -34,7 +34,8 @@ except SystemExit:
     run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     assert all(
-        name in run.stdout for name in ("train", "evaluate", "film", "study", "calibrate-tank", "sweep", "policies")
+        name in run.stdout
+        for name in ("train", "evaluate", "film", "study", "calibrate-tank", "sweep", "collide", "policies")
     )
 
 

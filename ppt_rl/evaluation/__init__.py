@@ -1,6 +1,7 @@
 """Judging any task: policies, episodes, statistics, tables, figures, videos and studies."""
 
 from ppt_rl.evaluation.calibration import Calibration, calibrate
+from ppt_rl.evaluation.collisions import Collisions, collide
 from ppt_rl.evaluation.columns import COLUMNS, POWER_AND_WORK, Column
 from ppt_rl.evaluation.difficulty import Sweep, SweepPoint
 from ppt_rl.evaluation.episodes import ZeroPolicy, record_episodes, run_episodes
@@ -14,6 +15,7 @@ from ppt_rl.evaluation.published import (
     save_pretrained,
 )
 from ppt_rl.evaluation.recipe import Recipe, find_recipe, shipped_recipes
+from ppt_rl.evaluation.scenario import Scenario, beside_the_reference
 from ppt_rl.evaluation.statistics import Claim, distribution, interval, summarise
 from ppt_rl.evaluation.study import Study, find_recipes, run_study
 from ppt_rl.evaluation.sweep import run_sweep
@@ -24,19 +26,23 @@ __all__ = [
     "POWER_AND_WORK",
     "Calibration",
     "Claim",
+    "Collisions",
     "Column",
     "Evaluation",
     "Pictures",
     "Policy",
     "Recipe",
     "Report",
+    "Scenario",
     "SecondPass",
     "Study",
     "Sweep",
     "SweepPoint",
     "Task",
     "ZeroPolicy",
+    "beside_the_reference",
     "calibrate",
+    "collide",
     "distribution",
     "evaluate",
     "find_recipe",

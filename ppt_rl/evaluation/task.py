@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
@@ -14,6 +14,9 @@ from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.columns import COLUMNS, Column
 from ppt_rl.evaluation.difficulty import Sweep
 from ppt_rl.evaluation.statistics import Claim
+
+if TYPE_CHECKING:
+    from ppt_rl.evaluation.scenario import Scenario
 
 __all__ = ["Baseline", "MakeEnv", "Pictures", "Report", "SecondPass", "Task"]
 
@@ -128,6 +131,7 @@ class Task:
         references: baselines that only variants with a reference have: other references, by label.
         report: how results are tabulated.
         pictures: what is recorded, filmed and drawn.
+        scenarios: what may go wrong in its episodes, for the collision benchmark.
         sweep: difficulty of the episodes, one quantity at a time; None where there is none.
     """
 
@@ -140,4 +144,5 @@ class Task:
     references: Mapping[str, Baseline] = field(default_factory=dict)
     report: Report = field(default_factory=Report)
     pictures: Pictures = field(default_factory=Pictures)
+    scenarios: tuple[Scenario, ...] = ()
     sweep: Sweep | None = None

@@ -24,6 +24,7 @@ from ppt_rl.envs import (
 )
 from ppt_rl.envs.maze.start import MazeRandomisation
 from ppt_rl.envs.models import Tool
+from ppt_rl.envs.push import WALL, Obstacle, ObstructedPushEnv, Plate
 from tests.bad_inputs.entry import bad, each
 
 __all__ = ["ENTRIES"]
@@ -106,4 +107,26 @@ _MAZES = [
     *each(MazeRewards, "force_scale", (0.0, math.inf), _MEANT),
 ]
 
-ENTRIES = [*_ENGINE, *_ARMS, *_PUSH, *_MAZES]
+_OBSTACLES = [
+    bad(Plate, "Plate.half_size.*; expected", (0.01, 0.1), 1e5),
+    bad(Plate, "a side of Plate.half_size is -0.1; expected", (0.01, -0.1, 0.1), 1e5),
+    bad(Plate, "Plate.stiffness is 1000000.0; expected", (0.01, 0.1, 0.1), 1e6),
+    bad(Plate, "Plate.stiffness is nan; expected", (0.01, 0.1, 0.1), math.nan),
+    bad(Plate, "Plate.mass is 0.0; expected", (0.01, 0.1, 0.1), 1e5, 0.0),
+    bad(Obstacle, r"Obstacle.plates is \(\); expected a tuple of at least 1", ()),
+    bad(Obstacle, "Obstacle.plates is .*; expected a tuple of at least 2", (WALL,), hold=(0.1, 0.2)),
+    bad(Obstacle, "an entry of Obstacle.plates is .*; expected", ("wall",)),
+    bad(Obstacle, "Obstacle.place is 'floor'; expected one of", (WALL,), place="floor"),
+    bad(Obstacle, "Obstacle.along is 2; expected", (WALL,), along=2),
+    bad(Obstacle, "Obstacle.gap is -0.1; expected", (WALL,), gap=-0.1),
+    bad(Obstacle, "Obstacle.jump is inf; expected", (WALL,), jump=math.inf),
+    bad(Obstacle, r"Obstacle.clamped is \(\); expected", (WALL,), clamped=()),
+    bad(Obstacle, "Obstacle.hold is .*; expected 0 <= low <= high", (WALL, WALL), hold=(0.2, 0.1)),
+    bad(ObstructedPushEnv, "obstacle is .*; expected", obstacle="wall"),
+    bad(
+        ObstructedPushEnv, "physics_dt is 0.001 s; expected at most 0.0005 s", obstacle=Obstacle((WALL,)),
+        engine=EngineConfig(physics_dt=0.001),
+    ),
+]  # fmt: skip
+
+ENTRIES = [*_OBSTACLES, *_ENGINE, *_ARMS, *_PUSH, *_MAZES]

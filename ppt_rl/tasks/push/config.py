@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 from ppt_rl.envs import PushEnv, PushGoal, PushRandomisation, PushReference
+from ppt_rl.envs.push import Obstacle, ObstructedPushEnv
 from ppt_rl.functional.argument_checks import shown
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.tasks.config import TaskConfig, env_settings
@@ -173,12 +174,14 @@ class StepWiseConfig(PushConfig):
 
 
 def make_push_env(
-    config: PushConfig, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[Any] = ()
-) -> PushEnv:
+    config: PushConfig, *, num_envs: int, seed: int | None = None, audit: bool = False, given: Sequence[Any] = (),
+    obstacle: Obstacle | None = None,
+) -> PushEnv:  # fmt: skip
     """The bare environment of a pushing recipe, the same in training and test.
 
     ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given``
-    must be empty, since pushing episodes are drawn.
+    must be empty, since pushing episodes are drawn. With an ``obstacle`` it is an
+    :class:`~ppt_rl.envs.push.ObstructedPushEnv` with the same episodes.
 
     Raises:
         ValueError: if episodes are given.
@@ -188,7 +191,8 @@ def make_push_env(
     settings = env_settings(config, num_envs=num_envs, seed=seed, audit=audit)
     masses = config.box_masses or None
     reference = PushReference(counter_turn=config.counter_turn)
-    return PushEnv(
-        goal=config.goal, box_sizes=config.box_sizes, box_masses=masses, randomisation=config.randomisation,
-        reference=reference, duration=config.duration, **settings,
-    )  # fmt: skip
+    settings |= {
+        "goal": config.goal, "box_sizes": config.box_sizes, "box_masses": masses, "reference": reference,
+        "randomisation": config.randomisation, "duration": config.duration,
+    }  # fmt: skip
+    return PushEnv(**settings) if obstacle is None else ObstructedPushEnv(obstacle=obstacle, **settings)

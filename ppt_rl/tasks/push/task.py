@@ -13,6 +13,7 @@ from ppt_rl.evaluation import Claim, Pictures, Policy, Report, Task, ZeroPolicy
 from ppt_rl.tasks.push.config import PushConfig, make_push_env
 from ppt_rl.tasks.push.figures import draw_push_episode
 from ppt_rl.tasks.push.networks import PRIVILEGED
+from ppt_rl.tasks.push.scenarios import SCENARIOS
 from ppt_rl.tasks.push.study_figures import draw_push_study
 
 __all__ = ["PUSH"]
@@ -67,4 +68,5 @@ PUSH = Task(
         draw_episode=draw_push_episode,
         draw_study=draw_push_study,
     ),
+    scenarios=SCENARIOS,
 )
