@@ -11,22 +11,28 @@ from ppt_rl.functional.impedance import (
     orientation_error,
     power,
 )
+from ppt_rl.functional.lagrangian import MultiplierState, PIDGains, begin_multiplier, penalised, pid_multiplier
 from ppt_rl.functional.metrics import MetricsConfig, begin_metrics, summarise_metrics, update_metrics
 
 __all__ = [
     "TANK_LAWS",
     "EnergyTankStep",
     "MetricsConfig",
+    "MultiplierState",
+    "PIDGains",
     "TankLaw",
     "ViaPointConfig",
     "WallTouch",
     "begin_metrics",
+    "begin_multiplier",
     "cartesian_impedance",
     "critical_damping",
     "energy_tank",
     "joint_torque",
     "nullspace_torque",
     "orientation_error",
+    "penalised",
+    "pid_multiplier",
     "power",
     "summarise_metrics",
     "update_metrics",
