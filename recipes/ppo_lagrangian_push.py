@@ -61,7 +61,7 @@ class Config(EpisodeLevelConfig):
     run_dir: Path = Path("runs/lagrangian_push")
     cost: Cost = "work"
     cost_limit: ByGoal = None  # type: ignore[assignment]
-    pid: PIDGains = field(default_factory=PIDGains)
+    pid: PIDGains = field(default_factory=lambda: PIDGains(proportional=2.0, integral=0.03))
     initial_multiplier: float = 0.0
     cost_critic: bool = True
 
@@ -137,8 +137,8 @@ def fit(config: Config, promp: ProMP) -> None:
 
 
 RECIPE = Recipe(
-    "lagrangian_push", "PP, Lagrangian", PUSH, Config, make_chain, make_policy, make_modules, fit, has_reference=True,
-    make_constraint=make_constraint,
+    "lagrangian_push", "PP-Lagrangian", PUSH, Config, make_chain, make_policy, make_modules, fit, has_reference=True,
+    make_constraint=make_constraint, in_study=False,
 )  # fmt: skip
 
 if __name__ == "__main__":

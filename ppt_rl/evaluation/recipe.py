@@ -64,6 +64,7 @@ class Recipe:
         has_reference: whether an action of zero is a policy of its own, the reference alone.
         trace: observations of this chain to record besides those of the task and the tank.
         make_constraint: from options and environment, the limit on the cost of an episode; None trains without one.
+        in_study: whether the study of its task has it; else a study has to name it.
     """
 
     variant: str
@@ -78,6 +79,7 @@ class Recipe:
     has_reference: bool = False
     trace: tuple[str, ...] = ()
     make_constraint: Callable[[Any, TransformedEnv], Constraint] | None = None
+    in_study: bool = True
 
     @property
     def file(self) -> Path:

@@ -97,7 +97,8 @@ def train_in_run_dir(
 
 def _completed(old: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of an older version, in which options that have come since have their defaults."""
-    return {**defaults, **old, "ppo": {**defaults["ppo"], **old["ppo"]}}
+    nested = {key: value for key, value in defaults.items() if isinstance(value, Mapping) and key in old}
+    return {**defaults, **old, **{key: {**value, **old[key]} for key, value in nested.items()}}
 
 
 def _check_same_run(old: Mapping[str, Any], new: Mapping[str, Any], path: Path) -> None:
@@ -113,6 +114,7 @@ def _check_same_run(old: Mapping[str, Any], new: Mapping[str, Any], path: Path) 
 
 
 def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with those of PPO as ``ppo.NAME``."""
-    ppo = settings.get("ppo", {})
-    return {key: value for key, value in settings.items() if key != "ppo"} | {f"ppo.{k}": v for k, v in ppo.items()}
+    """Settings with those of a group as ``GROUP.NAME``."""
+    groups = {key: value for key, value in settings.items() if isinstance(value, Mapping)}
+    single = {key: value for key, value in settings.items() if key not in groups}
+    return single | {f"{key}.{name}": value for key, group in groups.items() for name, value in group.items()}
