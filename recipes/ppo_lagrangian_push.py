@@ -137,7 +137,7 @@ def fit(config: Config, promp: ProMP) -> None:
 
 
 RECIPE = Recipe(
-    "lagrangian_push", "PP-Lagrangian", PUSH, Config, make_chain, make_policy, make_modules, fit, has_reference=True,
+    "lagrangian_push", "PP constrained", PUSH, Config, make_chain, make_policy, make_modules, fit, has_reference=True,
     make_constraint=make_constraint, in_study=False,
 )  # fmt: skip
 
