@@ -17,7 +17,7 @@ push: $(VENV)/.installed
 	$(PY) recipes/ppo_ppt_push.py --run-dir $(RUN) --resume
 	$(PPT_RL) evaluate $(RUN) --per-group --baseline --report $(RUN)/report
 
-# Compare the four pushing variants over five seeds (hours; run it again to continue): results/push.
+# Compare the four pushing variants of the paper over five seeds (hours; run it again to continue): results/push.
 study: $(VENV)/.installed
 	$(PPT_RL) study push --seeds 5 --episodes 512 --publish pretrained
 

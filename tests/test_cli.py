@@ -9,7 +9,7 @@ import pytest
 
 from ppt_rl.commands import CalibrateTank, Evaluate, Film, Judged, Policies, Sweep, _pairs
 from ppt_rl.envs.mujoco_imports import rendering_backend
-from ppt_rl.evaluation import COLUMNS, shipped_recipes
+from ppt_rl.evaluation import COLUMNS, find_recipe, shipped_recipes
 from ppt_rl.recipes.ppo_ppt_push import Config
 from ppt_rl.training import with_settings
 from ppt_rl.training.logs import read_scalar
@@ -146,7 +146,7 @@ def test_a_run_is_resumed_by_the_command_without_its_options(tmp_path):
 def test_published_policies_are_listed_with_their_figures(capsys):
     Policies().run()
     text = capsys.readouterr().out
-    assert all(f"| {variant} |" in text for variant in shipped_recipes())
+    assert all(f"| {variant} |" in text for variant in shipped_recipes() if find_recipe(variant).in_study)
     assert "success [0-1]" in text
 
 

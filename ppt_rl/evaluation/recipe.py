@@ -22,6 +22,7 @@ from ppt_rl.evaluation.task import Task
 from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.training import (
     CheckpointMismatch,
+    Constraint,
     Learners,
     Validation,
     options_to_resume,
@@ -62,6 +63,8 @@ class Recipe:
         has_tank: whether the chain has an energy tank with the options ``p_max`` and ``e_max``.
         has_reference: whether an action of zero is a policy of its own, the reference alone.
         trace: observations of this chain to record besides those of the task and the tank.
+        make_constraint: from options and environment, the limit on the cost of an episode; None trains without one.
+        in_study: whether the study of its task has it; else a study has to name it.
     """
 
     variant: str
@@ -75,6 +78,8 @@ class Recipe:
     has_tank: bool = False
     has_reference: bool = False
     trace: tuple[str, ...] = ()
+    make_constraint: Callable[[Any, TransformedEnv], Constraint] | None = None
+    in_study: bool = True
 
     @property
     def file(self) -> Path:
@@ -149,7 +154,9 @@ class Recipe:
         self.fit(config, **modules)
         base = self.task.make_training_env(config, num_envs=config.num_envs, seed=config.seed, audit=False)
         env = self.on(base, config, modules)
-        learners = Learners(*self.make_policy(config, env), extra=modules)
+        policy = self.make_policy(config, env)
+        constraint = None if self.make_constraint is None else self.make_constraint(config, env)
+        learners = Learners(*policy, extra=modules, constraint=constraint)
         return train_in_run_dir(
             config, env, learners, policy_steps=config.batch_steps, identity=self.identity,
             validation=self._validation(config, modules, learners.actor),

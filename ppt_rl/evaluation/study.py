@@ -105,7 +105,7 @@ def find_recipes(names: Sequence[str]) -> list[Recipe]:
     """Recipes by name.
 
     Args:
-        names: variants, files of recipes, or a task for all of its variants that come with the library.
+        names: variants, files of recipes, or a task for all variants of its study that come with the library.
 
     Returns:
         The recipes.
@@ -117,7 +117,7 @@ def find_recipes(names: Sequence[str]) -> list[Recipe]:
     tasks = {recipe.task.name for recipe in shipped}
     found: list[Recipe] = []
     for name in names:
-        found += [r for r in shipped if r.task.name == name] if name in tasks else [find_recipe(name)]
+        found += [r for r in shipped if r.task.name == name and r.in_study] if name in tasks else [find_recipe(name)]
     return found
 
 

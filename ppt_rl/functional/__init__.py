@@ -21,6 +21,7 @@ from ppt_rl.functional.impedance import (
     orientation_error,
     power,
 )
+from ppt_rl.functional.lagrangian import MultiplierState, PIDGains, begin_multiplier, penalised, pid_multiplier
 from ppt_rl.functional.metrics import MetricsConfig, begin_metrics, summarise_metrics, update_metrics
 from ppt_rl.functional.reference_governor import GovernedReference, catch_up, govern_reference, limit_drive
 from ppt_rl.functional.tank_laws import parallel_tank, passive_tank, rate_tank
@@ -31,6 +32,8 @@ __all__ = [
     "EnergyTankStep",
     "GovernedReference",
     "MetricsConfig",
+    "MultiplierState",
+    "PIDGains",
     "PlaneBarrier",
     "PowerFactors",
     "SpeedBarrier",
@@ -38,6 +41,7 @@ __all__ = [
     "ViaPointConfig",
     "WallTouch",
     "begin_metrics",
+    "begin_multiplier",
     "braking_part",
     "cartesian_impedance",
     "catch_up",
@@ -53,6 +57,8 @@ __all__ = [
     "orientation_error",
     "parallel_tank",
     "passive_tank",
+    "penalised",
+    "pid_multiplier",
     "power",
     "project_half_space",
     "project_half_spaces",

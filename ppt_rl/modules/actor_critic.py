@@ -172,12 +172,13 @@ def make_actor(
     )
 
 
-def make_critic(in_keys: Sequence[str], in_size: int) -> ValueOperator:
+def make_critic(in_keys: Sequence[str], in_size: int, *, out_key: str = "state_value") -> ValueOperator:
     """State-value network. It may read privileged observations, since only training uses it.
 
     Args:
         in_keys: observations that it reads, concatenated in this order.
         in_size: their total size.
+        out_key: key that it writes.
 
     Returns:
         The critic. Set its input statistics with :func:`update_input_norm`.
@@ -187,7 +188,7 @@ def make_critic(in_keys: Sequence[str], in_size: int) -> ValueOperator:
     """
     _check_keys(in_keys)
     in_size = require_whole("in_size", in_size, 1, _WIDEST)
-    return ValueOperator(_Network(in_size, 1, nn.Identity()), in_keys=list(in_keys))
+    return ValueOperator(_Network(in_size, 1, nn.Identity()), in_keys=list(in_keys), out_keys=[out_key])
 
 
 def update_input_norm(module: TensorDictModule, data: TensorDictBase) -> None:

@@ -2,10 +2,12 @@
 
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info, find_checkpoint, load_checkpoint
 from ppt_rl.training.config import RunConfig, as_json, from_json, prepare_torch, with_settings
+from ppt_rl.training.constrained import ConstrainedLearner
 from ppt_rl.training.finite import TrainingDiverged
+from ppt_rl.training.lagrangian import Constraint, LagrangianPPOLoss
 from ppt_rl.training.loop import train_ppo
-from ppt_rl.training.networks import make_actor_critic
-from ppt_rl.training.ppo import PPOConfig
+from ppt_rl.training.networks import make_actor_critic, make_cost_critic
+from ppt_rl.training.ppo import Learner, PPOConfig
 from ppt_rl.training.progress import TrainingRun
 from ppt_rl.training.resume import options_to_resume
 from ppt_rl.training.run import Learners, train_in_run_dir
@@ -15,6 +17,10 @@ from ppt_rl.training.validation import VALIDATED, Validation
 __all__ = [
     "VALIDATED",
     "CheckpointMismatch",
+    "ConstrainedLearner",
+    "Constraint",
+    "LagrangianPPOLoss",
+    "Learner",
     "Learners",
     "PPOConfig",
     "RunConfig",
@@ -27,6 +33,7 @@ __all__ = [
     "from_json",
     "load_checkpoint",
     "make_actor_critic",
+    "make_cost_critic",
     "options_to_resume",
     "prepare_torch",
     "run_script",

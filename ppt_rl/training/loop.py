@@ -11,7 +11,9 @@ from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
 from tqdm import tqdm
 
+from ppt_rl.training.constrained import ConstrainedLearner
 from ppt_rl.training.interrupt import Interrupt
+from ppt_rl.training.lagrangian import require_cost
 from ppt_rl.training.logs import RunLogs
 from ppt_rl.training.output import despite_closed_output
 from ppt_rl.training.ppo import Learner
@@ -36,10 +38,11 @@ def train_ppo(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: T
         Path of the last checkpoint.
 
     Raises:
+        KeyError: if the run limits a cost that the environment does not have.
         KeyboardInterrupt: after the checkpoint, if Ctrl-C, SIGTERM or SIGHUP interrupted the run.
         TrainingDiverged: if an update is not finite.
     """
-    progress = Progress(run, Learner(actor, critic, run.ppo))
+    progress = Progress(run, _learner(env, actor, critic, run))
     if run.resume_from is not None:
         progress.restore(env)
     budget = run.ppo.total_control_steps
@@ -72,6 +75,14 @@ def train_ppo(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: T
             logs.close()
     interrupt.raise_if_requested()
     return path
+
+
+def _learner(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: TrainingRun) -> Learner:
+    """PPO, under the run's limit on a cost where it has one."""
+    if run.constraint is None:
+        return Learner(actor, critic, run.ppo)
+    require_cost(env, run.constraint.cost_key)
+    return ConstrainedLearner(actor, critic, run.ppo, run.constraint)
 
 
 def _collector(env: EnvBase, actor: ProbabilisticActor, policy_steps: int) -> Collector:

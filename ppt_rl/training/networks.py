@@ -10,7 +10,7 @@ from torchrl.envs import EnvBase
 
 from ppt_rl.modules.actor_critic import Mirror, make_actor, make_critic, update_input_norm
 
-__all__ = ["begin_norms", "make_actor_critic"]
+__all__ = ["begin_norms", "make_actor_critic", "make_cost_critic"]
 
 
 def make_actor_critic(
@@ -36,17 +36,38 @@ def make_actor_critic(
     Raises:
         KeyError: if an observation is unknown.
     """
-    spec = env.observation_spec
-    unknown = [key for key in (*actor_keys, *critic_keys) if key not in spec.keys(True, True)]
-    if unknown:
-        raise KeyError(f"observations {unknown} are unknown; expected some of {list(spec.keys(True, True))}.")
-
-    def width(keys: Sequence[str]) -> int:
-        return sum(spec[key].shape[-1] for key in keys)
-
+    _require_observed(env, [*actor_keys, *critic_keys])
     size = env.full_action_spec["action"].shape[-1]
-    actor = make_actor(list(actor_keys), width(actor_keys), size, initial_scale=initial_scale, mirror=mirror)
-    return actor.to(env.device), make_critic(list(critic_keys), width(critic_keys)).to(env.device)
+    actor = make_actor(list(actor_keys), _width(env, actor_keys), size, initial_scale=initial_scale, mirror=mirror)
+    return actor.to(env.device), make_critic(list(critic_keys), _width(env, critic_keys)).to(env.device)
+
+
+def make_cost_critic(env: EnvBase, keys: Sequence[str]) -> nn.Module:
+    """Value network of a cost, sized for an environment.
+
+    Args:
+        env: environment with the recipe's chain.
+        keys: observations that it reads.
+
+    Returns:
+        The network, which writes ``cost_value``.
+
+    Raises:
+        KeyError: if an observation is unknown.
+    """
+    _require_observed(env, keys)
+    return make_critic(list(keys), _width(env, keys), out_key="cost_value").to(env.device)
+
+
+def _require_observed(env: EnvBase, keys: Sequence[str]) -> None:
+    known = list(env.observation_spec.keys(True, True))
+    unknown = [key for key in keys if key not in known]
+    if unknown:
+        raise KeyError(f"observations {unknown} are unknown; expected some of {known}.")
+
+
+def _width(env: EnvBase, keys: Sequence[str]) -> int:
+    return sum(env.observation_spec[key].shape[-1] for key in keys)
 
 
 def begin_norms(env: EnvBase, modules: Sequence[nn.Module], resets: int = 4) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -20,6 +20,8 @@ from ppt_rl.training.finite import TrainingDiverged, first_not_finite, require_f
 
 __all__ = ["Learner", "PPOConfig"]
 
+#: Losses that an update adds up, where the loss has them.
+_LOSSES = ("loss_objective", "loss_critic", "loss_entropy", "loss_cost_critic")
 #: Number of policy steps in a batch from which an update uses every CPU.
 _LARGE = 4096
 
@@ -97,15 +99,34 @@ class Learner:
 
     def __init__(self, actor: ProbabilisticActor, critic: nn.Module, config: PPOConfig) -> None:
         self.actor, self.critic, self.config = actor, critic, config
-        self.advantage = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=critic, average_gae=False)
-        # A step-wise batch has no such entry: then every policy step is one control step.
-        self.advantage.set_keys(steps_to_next_obs=("next", "control_steps"))
-        self.loss = ClipPPOLoss(
-            actor, critic, clip_epsilon=config.clip, entropy_bonus=config.entropy > 0, entropy_coeff=config.entropy,
+        self.advantage = self._estimator(critic)
+        self.loss = self._make_loss(
+            clip_epsilon=config.clip, entropy_bonus=config.entropy > 0, entropy_coeff=config.entropy,
             critic_coeff=1.0, normalize_advantage=True, loss_critic_type="smooth_l1",
         )  # fmt: skip
         self.optimizer = torch.optim.Adam(self.loss.parameters(), lr=config.learning_rate, eps=1e-5)
         self.schedule = KLAdaptiveLR(self.optimizer, config.target_kl, max_lr=config.max_learning_rate)
+
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        """What an update improves, by name."""
+        return {"actor": self.actor, "critic": self.critic}
+
+    @property
+    def components(self) -> dict[str, Any]:
+        """What a checkpoint holds of the learner, by name."""
+        return {**self.networks, "optimizer": self.optimizer, "schedule": self.schedule}
+
+    def _make_loss(self, **settings: Any) -> ClipPPOLoss:
+        return ClipPPOLoss(self.actor, self.critic, **settings)
+
+    def _estimator(self, critic: nn.Module, **keys: Any) -> GAE:
+        """An estimator of advantages; it reads and writes the usual entries, but for those that are named."""
+        config = self.config
+        estimator = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=critic, average_gae=False)
+        # A step-wise batch has no such entry: then every policy step is one control step.
+        estimator.set_keys(steps_to_next_obs=("next", "control_steps"), **keys)
+        return estimator
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Improve actor and critic on one batch; stop early once the policy has moved far enough.
@@ -123,34 +144,39 @@ class Learner:
             return self._improve(self._with_advantage(batch))
 
     def _improve(self, batch: TensorDictBase) -> dict[str, float]:
-        config, totals, updates = self.config, torch.zeros(2), 0
+        config, steps = self.config, []
         for _ in range(config.epochs):
             for rows in torch.randperm(len(batch)).chunk(config.minibatches):
-                losses = self.loss(batch[rows])
-                total = losses["loss_objective"] + losses["loss_critic"] + losses.get("loss_entropy", torch.zeros(()))
-                self.optimizer.zero_grad()
-                total.backward()
-                norm = nn.utils.clip_grad_norm_(self.loss.parameters(), config.max_grad_norm)
-                require_finite_update(
-                    objective=losses["loss_objective"].detach(), critic=losses["loss_critic"].detach(), gradient=norm
-                )
-                self.optimizer.step()
-                totals += torch.stack([losses["loss_objective"].detach(), losses["loss_critic"].detach()])
-                updates += 1
+                steps.append(self._step(batch[rows]))
             self._require_finite_networks()
             divergence = self._divergence(batch)
             require_finite_update(divergence=divergence)
             self.schedule.step(divergence)
             if divergence > 2 * config.target_kl:
                 break
-        objective, critic = (totals / updates).tolist()
         rate = self.optimizer.param_groups[0]["lr"]
-        return {
-            "loss_objective": objective, "loss_critic": critic, "kl": float(divergence), "learning_rate": rate,
-        }  # fmt: skip
+        means = {name: float(torch.stack([step[name] for step in steps]).mean()) for name in steps[0]}
+        return {**means, "kl": float(divergence), "learning_rate": rate}
+
+    def _step(self, rows: TensorDictBase) -> Mapping[str, Tensor]:
+        """One step of the optimizer; returns its losses."""
+        losses = self.loss(rows)
+        parts = {name: losses[name] for name in _LOSSES if name in losses.keys()}
+        self.optimizer.zero_grad()
+        sum(parts.values(), torch.zeros(())).backward()
+        norms = [nn.utils.clip_grad_norm_(group, self.config.max_grad_norm) for group in self._clipped()]
+        parts = {name: loss.detach() for name, loss in parts.items()}
+        named = {name.removeprefix("loss_"): loss for name, loss in parts.items()}
+        require_finite_update(**named, gradient=torch.stack(norms).sum())
+        self.optimizer.step()
+        return parts
+
+    def _clipped(self) -> list[list[nn.Parameter]]:
+        """Groups of parameters, of which each has a bound on the norm of its gradient."""
+        return [list(self.loss.parameters())]
 
     def _require_finite_networks(self) -> None:
-        broken = first_not_finite({"actor": self.actor, "critic": self.critic})
+        broken = first_not_finite(self.networks)
         if broken is not None:
             raise TrainingDiverged(f"{broken} is not finite")
 

@@ -18,6 +18,7 @@ from ppt_rl.modules.actor_critic import update_input_norm
 from ppt_rl.training.batches import batch_statistics, control_steps
 from ppt_rl.training.checkpoint import all_checkpoints, load_checkpoint, save_checkpoint
 from ppt_rl.training.finite import TrainingDiverged, first_not_finite
+from ppt_rl.training.lagrangian import Constraint
 from ppt_rl.training.ppo import Learner, PPOConfig
 from ppt_rl.training.validation import Validation
 
@@ -39,6 +40,7 @@ class TrainingRun:
         extra: further modules to save, by name.
         resume_from: checkpoint to continue from; None starts afresh.
         validation: when and how the policy is validated; None does without.
+        constraint: limit on the cost of an episode; None leaves the reward alone.
     """
 
     ppo: PPOConfig
@@ -48,6 +50,7 @@ class TrainingRun:
     extra: Mapping[str, nn.Module] = field(default_factory=dict)
     resume_from: Path | None = None
     validation: Validation | None = None
+    constraint: Constraint | None = None
 
 
 class Progress:
@@ -67,11 +70,7 @@ class Progress:
         self._run, self._learner = run, learner
         self.control_steps, self.batches, self.seconds = 0, 0, 0.0
         self._latest = {"success": 0.0, "max_power": 0.0}
-        self._networks = {
-            "actor": learner.actor, "critic": learner.critic, "optimizer": learner.optimizer,
-            "schedule": learner.schedule,
-        }  # fmt: skip
-        self._components = {**self._networks, "rng": GlobalRNGState(), **run.extra}
+        self._components = {**learner.components, "rng": GlobalRNGState(), **run.extra}
         #: The last checkpoint, and the number of batches in it.
         self._last: tuple[Path, int] | None = None
         self.start_clock()
@@ -112,9 +111,9 @@ class Progress:
         learner = self._learner
         with self._advice_where_it_diverges():
             scalars = batch_statistics(batch) | (improved := learner.update(batch))
-            for module in (learner.actor, learner.critic):
+            for module in learner.networks.values():
                 update_input_norm(module, batch)  # after the update: the batch was collected with the old statistics
-            broken = first_not_finite({"update": improved, **self._networks})
+            broken = first_not_finite({"update": improved, **learner.components})
             if broken is not None:
                 raise TrainingDiverged(f"{broken} is not finite")
         self._latest |= {name: scalars[name] for name in self._latest if name in scalars}

@@ -13,6 +13,7 @@ from torchrl.envs import EnvBase
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info
 from ppt_rl.training.config import RunConfig, as_json
 from ppt_rl.training.directory import checkpoint_to_resume, only_process_in, remove_leftovers, set_aside_newer
+from ppt_rl.training.lagrangian import Constraint
 from ppt_rl.training.logs import save_config
 from ppt_rl.training.loop import train_ppo
 from ppt_rl.training.networks import begin_norms
@@ -33,11 +34,19 @@ class Learners:
         actor: policy.
         critic: value network.
         extra: further modules to save, by name, such as the movement primitive.
+        constraint: limit on the cost of an episode; None leaves the reward alone.
     """
 
     actor: nn.Module
     critic: nn.Module
     extra: Mapping[str, nn.Module] = field(default_factory=dict)
+    constraint: Constraint | None = None
+
+    @property
+    def networks(self) -> list[nn.Module]:
+        """Actor and critics, those with statistics of their inputs."""
+        cost_critic = None if self.constraint is None else self.constraint.cost_critic
+        return [self.actor, self.critic, *([] if cost_critic is None else [cost_critic])]
 
 
 def train_in_run_dir(
@@ -67,7 +76,7 @@ def train_in_run_dir(
         remove_leftovers(run_dir)
         resume_from = checkpoint_to_resume(config)
         if resume_from is None:
-            begin_norms(env, [learners.actor, learners.critic])
+            begin_norms(env, learners.networks)
         else:
             old = checkpoint_info(resume_from, identity["variant"])["config"]
             _check_same_run(_completed(old, as_json(type(config)())), settings, resume_from)
@@ -81,13 +90,15 @@ def train_in_run_dir(
             extra=learners.extra,
             resume_from=resume_from,
             validation=validation,
+            constraint=learners.constraint,
         )
         return train_ppo(env, learners.actor, learners.critic, run)
 
 
 def _completed(old: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of an older version, in which options that have come since have their defaults."""
-    return {**defaults, **old, "ppo": {**defaults["ppo"], **old["ppo"]}}
+    nested = {key: value for key, value in defaults.items() if isinstance(value, Mapping) and key in old}
+    return {**defaults, **old, **{key: {**value, **old[key]} for key, value in nested.items()}}
 
 
 def _check_same_run(old: Mapping[str, Any], new: Mapping[str, Any], path: Path) -> None:
@@ -103,6 +114,7 @@ def _check_same_run(old: Mapping[str, Any], new: Mapping[str, Any], path: Path) 
 
 
 def _flat(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings with those of PPO as ``ppo.NAME``."""
-    ppo = settings.get("ppo", {})
-    return {key: value for key, value in settings.items() if key != "ppo"} | {f"ppo.{k}": v for k, v in ppo.items()}
+    """Settings with those of a group as ``GROUP.NAME``."""
+    groups = {key: value for key, value in settings.items() if isinstance(value, Mapping)}
+    single = {key: value for key, value in settings.items() if key not in groups}
+    return single | {f"{key}.{name}": value for key, group in groups.items() for name, value in group.items()}

@@ -1,4 +1,4 @@
-"""The safety constraint on measured power, as a cost, a penalty or the end of an episode."""
+"""A constraint on power or work, as a cost, a penalty or the end of an episode."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 
 from ppt_rl.functional.argument_checks import require_in_range, require_instance
-from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.impedance import power
 from ppt_rl.transforms.base import Entries
 from ppt_rl.transforms.observer import ObserverTransform
@@ -20,11 +19,12 @@ __all__ = ["PowerLimitTransform"]
 
 
 class PowerLimitTransform(TimedTransform, ObserverTransform):
-    r"""Measures by how much the power of the measured wrench, ``P = wrench . twist``, exceeds a limit.
+    r"""Measures by how much a power exceeds a limit: that of the measured wrench, ``P = wrench . twist``, by default.
 
     .. math:: c = \Delta t\,\max(0, |P| - P_{max}), \qquad r' = r - \mathrm{penalty} \cdot c
 
     It writes the cost ``c`` ``(*B, 1)`` [J] under ``("next", "cost")``, where losses of constrained RL look for it.
+    With a limit of zero the cost is the whole work, charged like a tank charges it: braking as much as pushing.
     With ``terminate`` an episode ends (``terminated``) at the first step above the limit. Unlike the
     :class:`EnergyTankTransform` it leaves the action alone: it makes the constraint part of the task.
 
@@ -33,18 +33,20 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
     where episodes end. The penalty changes the reward only, not the entries under ``reward_terms``.
 
     Args:
-        p_max: limit of the measured power [W].
+        p_max: limit of the power [W].
         penalty: reward subtracted per joule above the limit [1/J]; zero leaves the reward alone.
         terminate: whether a step above the limit ends the episode.
         dt: control step [s]; None takes it from the environment, and needs one.
         wrench_key: measured wrench on the world.
         twist_key: measured twist.
+        power_key: a power ``(*B, 1)`` [W] to take instead of the measured one, such as the commanded ``"power"`` of a
+            :class:`JointTorqueTransform`; append this transform after that one.
         reward_key: the reward that the penalty is subtracted from.
         cost_key: where the cost is written.
 
     Raises:
         ValueError: if a number is out of range.
-        KeyError: if wrench or twist are not observed.
+        KeyError: if wrench and twist, or the given power, are not observed.
 
     Source:
         Paper, section "Common Experimental Setup", ``P_t <= P_max`` on the wrist's force-torque reading.
@@ -52,6 +54,7 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
     Examples:
         >>> PowerLimitTransform(p_max=2.0, penalty=10.0, terminate=True).p_max
         2.0
+        >>> work = PowerLimitTransform(p_max=0.0, power_key="power")
     """
 
     _at_control_rate = True
@@ -65,11 +68,13 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
         dt: float | None = None,
         wrench_key: NestedKey = "wrench",
         twist_key: NestedKey = "twist",
+        power_key: NestedKey | None = None,
         reward_key: NestedKey = "reward",
         cost_key: NestedKey = "cost",
     ) -> None:
-        super().__init__(in_keys=[wrench_key, twist_key], out_keys=[cost_key])
-        self.p_max = require_positive("p_max", p_max, "W")
+        readings = [wrench_key, twist_key] if power_key is None else [power_key]
+        super().__init__(in_keys=readings, out_keys=[cost_key])
+        self.p_max = require_in_range("p_max", p_max, 0.0, unit="W")
         self.penalty = require_in_range("penalty", penalty, 0.0, unit="[1/J]")
         require_instance("terminate", terminate, bool)
         self.terminate = terminate
@@ -77,7 +82,8 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
         self.dt = dt
 
     def _outputs(self, tensordict: TensorDictBase, state: Entries, *readings: Tensor) -> Entries:
-        excess = (power(*readings).abs() - self.p_max).clamp_min(0.0)  # [W]
+        measured = readings[0] if len(readings) == 1 else power(*readings)
+        excess = (measured.abs() - self.p_max).clamp_min(0.0)  # [W]
         return {self.out_keys[0]: self.dt * excess}
 
     def _output_specs(self, batch: torch.Size, like: TensorSpec) -> dict[NestedKey, TensorSpec]:

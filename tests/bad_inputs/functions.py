@@ -8,8 +8,10 @@ import torch
 
 from ppt_rl.functional import (
     MetricsConfig,
+    PIDGains,
     ViaPointConfig,
     begin_metrics,
+    begin_multiplier,
     braking_part,
     cartesian_impedance,
     critical_damping,
@@ -19,6 +21,7 @@ from ppt_rl.functional import (
     orientation_error,
     parallel_tank,
     passive_tank,
+    pid_multiplier,
     power,
     rate_tank,
     summarise_metrics,
@@ -51,6 +54,17 @@ _PRIOR = law.Gaussian(torch.zeros(4), torch.eye(4))
 _SLIDE = {"dt": 0.01, "distance": 0.02, "patience": 0.3, "slow": 0.01}
 _SEEN = (torch.zeros(2, 4), torch.zeros(2), torch.eye(2), torch.ones(2, dtype=torch.bool))
 
+_OPTION = "{name} is {value}; expected a number from 0"
+_MULTIPLIER = [
+    *(
+        entry
+        for name in ("proportional", "integral", "derivative", "smoothing")
+        for entry in each(PIDGains, name, (-1.0, math.nan, math.inf, "much", None), _OPTION)
+    ),
+    *each(PIDGains, "smoothing", (1.0,), _OPTION),
+    *each(PIDGains, "max_multiplier", (0.0, -1.0, math.nan, "large"), "{name} is {value}; expected a number from"),
+    bad(pid_multiplier, "cost holds 1 NaN", begin_multiplier(torch.zeros(())), torch.tensor(math.nan), 1.0, PIDGains()),
+]
 _IMPEDANCE = [
     bad(orientation_error, r"quat has shape \(2, 3\); expected \(\*batch, 4\)", torch.zeros(2, 3), torch.zeros(2, 4)),
     bad(orientation_error, r"reference_quat has shape \(2, 7\)", torch.zeros(2, 4), torch.zeros(2, 7)),
@@ -167,4 +181,4 @@ _TOUCH = [
     bad(begin_via_points, r"pose has shape \(2, 6\)", _TWIST, ViaPointConfig()),
 ]
 
-ENTRIES = [*_IMPEDANCE, *_TANKS, *_MEASURES, *_PRIMITIVES, *_DEMONSTRATIONS, *_ROTATIONS, *_TOUCH]
+ENTRIES = [*_MULTIPLIER, *_IMPEDANCE, *_TANKS, *_MEASURES, *_PRIMITIVES, *_DEMONSTRATIONS, *_ROTATIONS, *_TOUCH]

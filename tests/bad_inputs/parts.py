@@ -12,7 +12,17 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 
 from ppt_rl.arms import PANDA, Chain, DHRow, Limits, Offset, find_arm
-from ppt_rl.modules import CartesianImpedanceController, Kinematics, Mirror, ProMP, TaskSpace, make_actor, make_critic
+from ppt_rl.functional import PIDGains
+from ppt_rl.modules import (
+    CartesianImpedanceController,
+    Kinematics,
+    Mirror,
+    PIDMultiplier,
+    ProMP,
+    TaskSpace,
+    make_actor,
+    make_critic,
+)
 from ppt_rl.modules.actor_critic import update_input_norm
 from tests.bad_inputs.entry import BadInput, bad, each
 
@@ -43,6 +53,14 @@ def _joints(match: str, **changes: object) -> BadInput:
     return _changed(PANDA.joints, match, changes)
 
 
+_MULTIPLIER = [
+    *each(
+        PIDMultiplier, "limit", (-1.0, math.nan, math.inf, "tight", None), "{name} is {value}; expected a finite number"
+    ),
+    *each(PIDMultiplier, "initial", (-1.0, 101.0, math.nan, "much"), "{name} is {value}; expected a", 1.0),
+    bad(PIDMultiplier, "gains is 0.5, of type float; expected PIDGains", 1.0, 0.5),
+    bad(PIDMultiplier(1.0, PIDGains()).update, "cost holds 1 NaN", torch.tensor(math.inf)),
+]
 _PRIMITIVE = [
     *each(ProMP, "num_basis", (0, 1, 3.5, "8", None, [4], 10**9), _WHOLE, num_dof=2, duration=1.0),
     *each(ProMP, "num_dof", (0, -1, 2.5, 10**9, "xy"), _WHOLE, num_basis=4, duration=1.0),
@@ -185,4 +203,4 @@ _ARMS = [
     _arm("radius of the shells: .*-0.1", shells=(PANDA.shells[0]._replace(radius=-0.1),)),
 ]
 
-ENTRIES = [*_PRIMITIVE, *_SPACES, *_KINEMATICS, *_GAINS, *_NETWORKS, *_ARMS]
+ENTRIES = [*_PRIMITIVE, *_MULTIPLIER, *_SPACES, *_KINEMATICS, *_GAINS, *_NETWORKS, *_ARMS]

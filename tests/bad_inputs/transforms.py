@@ -98,7 +98,7 @@ _AT_CONTROL_RATE = [
     bad(EpisodeMetricsTransform, "config is .*; expected (a )?MetricsConfig", 2.0),
     bad(EpisodeMetricsTransform, "cutoff is 10.0 Hz; expected a frequency below half the control rate", dt=0.05),
     *each(EnergyPenaltyTransform, "weight", (-1.0, math.nan, math.inf, "much", None), _LEAST),
-    *each(PowerLimitTransform, "p_max", (0.0, math.nan, "two"), _POSITIVE),
+    *each(PowerLimitTransform, "p_max", (-1.0, math.nan, "two"), _LEAST),
     *each(PowerLimitTransform, "penalty", (-1.0, math.nan, math.inf, "much", None), _LEAST),
     bad(PowerLimitTransform, "terminate is 'no', of type str; expected bool", terminate="no"),
     *each(PowerLimitTransform, "dt", (0.0, [0.01]), _POSITIVE),

@@ -8,8 +8,10 @@ from torch.utils import _pytree as pytree
 
 from ppt_rl.functional import (
     MetricsConfig,
+    PIDGains,
     ViaPointConfig,
     begin_metrics,
+    begin_multiplier,
     braking_part,
     cartesian_impedance,
     critical_damping,
@@ -19,6 +21,8 @@ from ppt_rl.functional import (
     orientation_error,
     parallel_tank,
     passive_tank,
+    penalised,
+    pid_multiplier,
     power,
     promp,
     rate_tank,
@@ -130,6 +134,11 @@ CASES = {
         lambda *a: follow_heading(*a, dt=0.01, distance=0.02, patience=0.3, slow=0.01),
         lambda: (normal(B, 1), normal(B, 2), normal(B, 2), flags(B, 1)),
     ),
+    "pid_multiplier": (
+        lambda cost: pid_multiplier(begin_multiplier(torch.ones_like(cost)), cost, 1.0, PIDGains()),
+        lambda: (positive(B, 1),),
+    ),
+    "penalised": (penalised, lambda: (normal(B, 1), normal(B, 1, seed=1), positive(B, 1))),
     "update_metrics": (measured, lambda: (normal(B, 6), normal(B, 6, seed=1))),
     "quat_multiply": (rotations.quat_multiply, lambda: (quats(), random_quats(B, seed=3))),
     "quat_rotate": (rotations.quat_rotate, lambda: (quats(), normal(B, 3))),

@@ -43,6 +43,7 @@ PROMP = ["MacroStepTransform", "ProMPTransform", "ViaPointTransform"]
 STEPWISE = ["CartesianVelocityTransform", "MacroStepTransform", "HoldActionTransform", "StepCounter", "UnaryTransform"]
 #: Transforms of each variant in order; the tank acts at control rate, so it stands before the macro step.
 CHAINS = {
+    "lagrangian_push": [*PUSH[:2], "PowerLimitTransform", PUSH[2], *PROMP],
     "pp_push": [*PUSH, *PROMP],
     "ppt_push": [*TANKS, *PROMP],
     "s_push": [*PUSH, *STEPWISE],
@@ -51,6 +52,7 @@ CHAINS = {
 KNOWN = ["box_start", "goal", "box_size", "pose", "twist", "wrench", "phase", "goal_yaw"]
 #: What each policy reads besides.
 EXTRA = {
+    "lagrangian_push": [],
     "pp_push": [],
     "ppt_push": ["tank_energy", "valve"],
     "s_push": ["reference_position", "last_action"],
@@ -279,7 +281,7 @@ def test_a_recorded_episode_holds_what_was_seen_after_each_of_its_control_steps(
 
 @variants
 def test_only_a_policy_on_residuals_has_a_reference_to_run_alone(policies, variant):
-    has_one = variant in ("pp_push", "ppt_push")
+    has_one = variant in ("lagrangian_push", "pp_push", "ppt_push")
     assert policies[variant].baselines() == (["reference alone", "naive reference"] if has_one else [])
     if not has_one:
         with pytest.raises(ValueError, match=f"'reference alone' is unknown for {variant}; expected one of"):

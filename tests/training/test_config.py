@@ -18,8 +18,8 @@ ABSURD = {
     "replan_steps": 10**9, "duration": 1e9, "training_duration": 1e9, "physics_dt": 1e-9, "control_dt": 1e-9,
     "promp_duration": 1e9, "seed": 2**40,
 }  # fmt: skip
-#: Numbers of which None takes the default of the goal.
-_OF_THE_GOAL = ("duration", "e_max", "max_velocity")
+#: Numbers of which None takes the default of the goal, or of the cost.
+_OF_THE_GOAL = ("cost_limit", "duration", "e_max", "max_velocity")
 ABSURD_PPO = {"total_control_steps": 10**15, "epochs": 10**9, "minibatches": 10**9, "checkpoint_every": 10**12}
 
 
@@ -42,7 +42,7 @@ def test_no_number_of_a_recipe_may_be_nan_infinite_negative_or_no_number(variant
     config = find_recipe(variant).config
     for name in numbers(config()):
         if (name == "counter_turn" and isinstance(bad, float | int)) or (name in _OF_THE_GOAL and bad is None):
-            continue  # it may be negative; None takes the default of the goal
+            continue  # it may be negative; None takes the default of the goal or of the cost
         with pytest.raises(ValueError, match=rf"^{name} is .*; expected a (whole )?number from "):
             config(**{name: bad})
 

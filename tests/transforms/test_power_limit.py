@@ -238,17 +238,36 @@ def test_an_environment_without_a_wrench_is_a_key_error_that_names_it():
         TransformedEnv(PendulumEnv(), PowerLimitTransform(dt=0.05)).rollout(1)
 
 
-@pytest.mark.parametrize("name", ["p_max", "dt"])
 @pytest.mark.parametrize("value", [-1.0, 0.0, float("nan"), float("inf")])
-def test_a_number_that_is_not_positive_is_refused_by_name(name, value):
-    with pytest.raises(ValueError, match=rf"{name} is {value}; expected a finite number above 0"):
+def test_a_control_step_that_is_not_positive_is_refused_by_name(value):
+    with pytest.raises(ValueError, match=rf"dt is {value}; expected a finite number above 0"):
+        PowerLimitTransform(dt=value)
+
+
+@pytest.mark.parametrize("name", ["p_max", "penalty"])
+@pytest.mark.parametrize("value", [-1e-3, float("nan"), float("inf")])
+def test_a_number_that_is_negative_or_not_finite_is_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=rf"{name} is {value}; expected a finite number of at least 0"):
         PowerLimitTransform(**{name: value})
 
 
-@pytest.mark.parametrize("value", [-1e-3, float("nan"), float("inf")])
-def test_a_penalty_that_is_negative_or_not_finite_is_refused(value):
-    with pytest.raises(ValueError, match=rf"penalty is {value}; expected a finite number of at least 0"):
-        PowerLimitTransform(penalty=value)
+# -- another power -----------------------------------------------------------------------------------------------------
+
+
+def test_a_limit_of_zero_makes_the_whole_work_the_cost():
+    steps = by_hand(scripted())["next"]
+    whole = TransformedEnv(scripted().base_env, PowerLimitTransform(0.0, dt=0.5))
+    assert torch.equal(by_hand(whole)["next", "cost"], 0.5 * POWER[:, 1:].abs().unsqueeze(-1).expand_as(steps["cost"]))
+
+
+def test_a_given_power_is_the_one_that_counts():
+    td = TensorDict({"power": torch.tensor([[3.0], [-5.0], [1.0]]), "wrench": torch.ones(3, 6)}, [3])
+    assert PowerLimitTransform(2.0, power_key="power", dt=0.5)(td)["cost"].flatten().tolist() == [0.5, 1.5, 0.0]
+
+
+def test_a_power_that_is_not_there_is_a_key_error_that_names_it():
+    with pytest.raises(KeyError, match=r"PowerLimitTransform needs \['power'\]"):
+        PowerLimitTransform(power_key="power")(TensorDict({"wrench": torch.ones(3, 6)}, [3]))
 
 
 # -- the simulated arm -------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from ppt_rl.tasks.push.config import (
     StepWiseConfig,
     make_push_env,
 )
-from ppt_rl.tasks.push.networks import PRIVILEGED, make_push_policy
+from ppt_rl.tasks.push.networks import PRIVILEGED, make_push_cost_critic, make_push_policy
 from ppt_rl.tasks.push.prior import PUSH_AXES, fit_push_prior
 from ppt_rl.tasks.push.step_wise import fit_step_wise, step_wise_modules, step_wise_transforms
 from ppt_rl.tasks.push.task import PUSH
@@ -22,6 +22,7 @@ __all__ = [
     "StepWiseConfig",
     "fit_push_prior",
     "fit_step_wise",
+    "make_push_cost_critic",
     "make_push_env",
     "make_push_policy",
     "step_wise_modules",

@@ -1,4 +1,4 @@
-"""What the four pushing recipes have in common: options, environment and networks."""
+"""What the pushing recipes have in common: options, environment and networks."""
 
 from __future__ import annotations
 

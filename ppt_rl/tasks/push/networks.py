@@ -10,9 +10,9 @@ from torchrl.envs import TransformedEnv
 from ppt_rl.modules.actor_critic import Mirror
 from ppt_rl.tasks.push.config import PushConfig
 from ppt_rl.tasks.push.prior import PUSH_AXES
-from ppt_rl.training import make_actor_critic
+from ppt_rl.training import make_actor_critic, make_cost_critic
 
-__all__ = ["PRIVILEGED", "make_push_policy"]
+__all__ = ["PRIVILEGED", "make_push_cost_critic", "make_push_policy"]
 
 #: Signs of coordinates when left and right change places: of x, y and yaw; of twist and wrench; of a pose, whose
 #: quaternion is negated besides, so that that of a tool which points down stays what it is.
@@ -45,11 +45,28 @@ def make_push_policy(
     Returns:
         Actor and critic.
     """
-    goal = ["goal_yaw"] if config.goal == "pose" else []
-    keys = [*_KNOWN, *goal, *extra_keys]
+    keys = _actor_keys(config, extra_keys)
     signs = _KNOWN | _FURTHER
     per_axis = env.full_action_spec["action"].shape[-1] // len(PUSH_AXES)  # numbers of the action, axis by axis
     mirror = Mirror([sign for key in keys for sign in signs[key]], [sign for sign in _AXES for _ in range(per_axis)])
     return make_actor_critic(
         env, keys, [*keys, *PRIVILEGED], initial_scale=initial_scale, mirror=mirror if config.mirror else None
     )
+
+
+def make_push_cost_critic(config: PushConfig, env: TransformedEnv, *, extra_keys: Sequence[str] = ()) -> nn.Module:
+    """Value network of a cost, on what the critic of :func:`make_push_policy` reads.
+
+    Args:
+        config: options of the recipe.
+        env: environment with the recipe's chain.
+        extra_keys: further observations, which the recipe's transforms add.
+
+    Returns:
+        The critic, which writes ``cost_value``.
+    """
+    return make_cost_critic(env, [*_actor_keys(config, extra_keys), *PRIVILEGED])
+
+
+def _actor_keys(config: PushConfig, extra_keys: Sequence[str]) -> list[str]:
+    return [*_KNOWN, *(["goal_yaw"] if config.goal == "pose" else []), *extra_keys]
