@@ -46,10 +46,11 @@ class SpeedBarrier:
 
     .. math:: n^\top M^{-1} f \le \alpha\,(v_{max} - \lVert v \rVert), \qquad n = v / \lVert v \rVert
 
-    A force that is held for a control step changes the velocity by ``dt M^-1 f``. So the speed along the direction of
-    motion stays below ``v_max`` for ``alpha dt <= 1``, and a speed above it falls by at least that share of the excess
-    in each step. Across this direction the force is free; in one step it raises the speed to at most ``sqrt(v_max^2 +
-    (dt a)^2)`` with its acceleration ``a``. A tool at rest has no direction of motion and is not constrained.
+    A force that is held for a control step changes the velocity by ``dt M^-1 f``. So for ``alpha dt <= 1`` the velocity
+    along the direction of motion ends at no more than ``w = s + alpha dt (v_max - s)`` from a speed ``s``: below
+    ``v_max``, or nearer to it by that share of an excess. Across this direction the force is free, so with the
+    acceleration ``a`` the speed ends at no more than ``sqrt(w^2 + (dt a)^2)``. A tool at rest has no direction of
+    motion and is not constrained.
 
     Attributes:
         v_max: largest speed [m/s].

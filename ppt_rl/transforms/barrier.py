@@ -34,8 +34,9 @@ class BarrierTransform(TimedTransform, ActionTransform):
     all constraints, bit by bit. Where no force satisfies all of them, the barriers go before the force rate.
 
     The limits hold for a tool with the given apparent inertia on which nothing else acts. The real inertia depends on
-    the posture of the arm, and contacts and the posture torque act as well, so the barriers hold up to an error that is
-    largest where the inertia differs most. A tank nearer to the robot may scale down the force that brakes.
+    the posture of the arm, and contacts and the posture torque act as well, so the barriers hold up to an error. On the
+    simulated Panda, a tool that is led upwards at 0.4 m/s reaches 0.25 m/s under a limit of 0.2 m/s, and passes a plane
+    by 2 mm. A tank nearer to the robot may scale down the force that brakes.
 
     Append it after the :class:`JointTorqueTransform` and the paper's tank, and before an :class:`ImpedanceTransform`.
     State and observations: ``barrier_change`` ``(*B, 1)``, the length of the change of the force in the last control

@@ -14,16 +14,26 @@ from ppt_rl.functional import (
     begin_multiplier,
     braking_part,
     cartesian_impedance,
+    catch_up,
     critical_damping,
+    damping_factor,
     energy_tank,
+    govern_reference,
     joint_torque,
+    kinetic_energy,
+    limit_drive,
+    nearest_in_ball,
     nullspace_torque,
     orientation_error,
     parallel_tank,
     passive_tank,
     pid_multiplier,
     power,
+    project_half_space,
+    project_half_spaces,
     rate_tank,
+    spring_energy,
+    stiffness_factor,
     summarise_metrics,
     update_metrics,
 )
@@ -97,6 +107,34 @@ _TANKS = [
     bad(parallel_tank, r"damping holds 12 NaN", _TWIST, _TWIST, _ONE, damping=_TWIST * math.nan, **_TANK),
     bad(rate_tank, r"inertia has shape \(7,\)", _TWIST, _TWIST, _ONE, inertia=torch.ones(7), **_TANK),
     bad(braking_part, r"reference_twist has shape \(2, 7\)", _TWIST, _POSE, _TWIST),
+]
+_REACH = {"limits": (20.0, 2.0)}
+_FORCES = [
+    bad(limit_drive, r"pose has shape \(2, 6\)", _TWIST, _POSE, _TWIST, _TWIST, _TWIST, **_REACH),
+    bad(limit_drive, r"damping has shape \(2, 1\)", _POSE, _POSE, _TWIST, _TWIST, _ONE, **_REACH),
+    bad(limit_drive, r"moving has shape \(2, 7\)", _POSE, _POSE, _TWIST, _TWIST, _TWIST, moving=_POSE, **_REACH),
+    bad(catch_up, r"lag has shape \(2, 1\)", _POSE, _TWIST, _POSE, _ONE, speeds=(0.2, 1.0), dt=0.01),
+    bad(
+        govern_reference,
+        r"reference .* has shape \(2, 7\); expected \(\*batch, 13\)",
+        _POSE,
+        _POSE,
+        _TWIST,
+        _TWIST,
+        _POSE,
+        _ONE,
+        speeds=(0.2, 1.0),
+        dt=0.01,
+        **_REACH,
+    ),
+    bad(spring_energy, r"error has shape \(2, 7\)", _POSE, _TWIST),
+    bad(kinetic_energy, r"inertia has shape \(2, 1\)", _TWIST, _ONE),
+    bad(stiffness_factor, r"potential has shape \(2, 6\)", _ONE, _TWIST, 1.0),
+    bad(damping_factor, r"most has shape \(2, 6\)", _TWIST, _TWIST, _TWIST, 2.0, _TWIST),
+    bad(project_half_space, r"normal has shape \(2, 7\)", _TWIST, _POSE, _ONE),
+    bad(project_half_spaces, "there are 5 constraints; expected 1 to 4", _TWIST, torch.ones(2, 5, 6), torch.ones(2, 5)),
+    bad(project_half_spaces, r"offsets has shape \(2, 1\)", _TWIST, torch.ones(2, 3, 6), _ONE),
+    bad(nearest_in_ball, r"last has shape \(2, 7\)", _TWIST, torch.ones(2, 1, 6), _ONE, _POSE, 1.0),
 ]
 _MEASURES = [
     *each(
@@ -181,4 +219,14 @@ _TOUCH = [
     bad(begin_via_points, r"pose has shape \(2, 6\)", _TWIST, ViaPointConfig()),
 ]
 
-ENTRIES = [*_MULTIPLIER, *_IMPEDANCE, *_TANKS, *_MEASURES, *_PRIMITIVES, *_DEMONSTRATIONS, *_ROTATIONS, *_TOUCH]
+ENTRIES = [
+    *_MULTIPLIER,
+    *_IMPEDANCE,
+    *_TANKS,
+    *_FORCES,
+    *_MEASURES,
+    *_PRIMITIVES,
+    *_DEMONSTRATIONS,
+    *_ROTATIONS,
+    *_TOUCH,
+]

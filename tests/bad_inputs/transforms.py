@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 
 from ppt_rl.arms import PANDA
-from ppt_rl.functional import MetricsConfig, ViaPointConfig, WallTouch
+from ppt_rl.functional import MetricsConfig, PlaneBarrier, SpeedBarrier, ViaPointConfig, WallTouch
 from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
+    BarrierTransform,
     CartesianVelocityTransform,
     ContactViaPointTransform,
+    EnergyAwareImpedanceTransform,
     EnergyPenaltyTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
@@ -20,6 +22,7 @@ from ppt_rl.transforms import (
     PowerLimitTransform,
     ProMPTransform,
     RecedingProMPTransform,
+    ReferenceGovernorTransform,
     ViaPointTransform,
 )
 from tests.bad_inputs.entry import BadInput, bad, each
@@ -111,6 +114,30 @@ _AT_CONTROL_RATE = [
     bad(ContactViaPointTransform, "touch is 'soft', of type str; expected WallTouch", 1.0, touch="soft"),
     bad(ContactViaPointTransform, "lookahead is 0.6 s; expected at most the primitive's duration, 0.5 s", 0.5),
 ]
+_FORCE = [
+    *each(ReferenceGovernorTransform, "f_max", (0.0, math.nan, "soft", None), _POSITIVE),
+    *each(ReferenceGovernorTransform, "torque_max", (-1.0, math.inf), _POSITIVE),
+    *each(ReferenceGovernorTransform, "catch_up_speed", (0.0, (0.1, 0.1, 0.1), "slow", math.nan), "{name} is .*; exp"),
+    bad(ReferenceGovernorTransform, "with_motion is 1, of type int; expected bool", with_motion=1),
+    bad(ReferenceGovernorTransform, "controller is 400.0, of type float; expected", controller=400.0),
+    bad(ReferenceGovernorTransform, "reading_keys is 'pose'; expected two keys", reading_keys="pose"),
+    *each(ReferenceGovernorTransform, "dt", (0.0, math.nan), _POSITIVE),
+    bad(EnergyAwareImpedanceTransform, "controller is 400.0, of type float; expected", 400.0),
+    *each(EnergyAwareImpedanceTransform, "e_max", (0.0, math.nan, "little"), _POSITIVE, CartesianImpedanceController()),
+    *each(EnergyAwareImpedanceTransform, "p_max", (-2.0, math.inf), _POSITIVE, CartesianImpedanceController()),
+    bad(BarrierTransform, "there are 0 barriers; expected 1 to 4", []),
+    bad(BarrierTransform, "there are 5 barriers; expected 1 to 4", [SpeedBarrier(0.2)] * 5),
+    bad(BarrierTransform, r"barriers is \[0.2\]; expected a list of them", [0.2]),
+    bad(BarrierTransform, "barriers is 'slow'; expected a list of them", "slow"),
+    *each(BarrierTransform, "force_rate", (0.0, math.nan, "slow"), _POSITIVE, [SpeedBarrier(0.2)]),
+    *each(BarrierTransform, "inertia", (1.0, (1.0, 1.0, 0.0), None), "{name} is .*; expected", [SpeedBarrier(0.2)]),
+    bad(BarrierTransform, "reading_keys is 'pose'; expected two keys", [SpeedBarrier(0.2)], reading_keys="pose"),
+    *each(SpeedBarrier, "v_max", (0.0, -0.2, math.nan, "slow"), _POSITIVE),
+    *each(SpeedBarrier, "rate", (0.0, math.inf), _POSITIVE, 0.2),
+    bad(PlaneBarrier, r"normal is \(0.0, 0.0, 0.0\); expected three numbers that are not all zero", (0.0, 0.0, 0.0)),
+    bad(PlaneBarrier, "normal is up; expected three|normal is 'up'; expected three", "up"),
+    *each(PlaneBarrier, "offset", (math.nan, "high"), "{name} is {value}; expected"),
+]
 _VELOCITY = [
     *each(
         CartesianVelocityTransform, "max_velocity", (0.0, -0.4, math.nan, (0.1, 0.1, 0.1), math.inf),
@@ -160,4 +187,4 @@ _PER_POLICY_STEP = [
     bad(ViaPointTransform, "the ProMP has 2 degrees of freedom; expected 3", _PROMP, frame=("pose", "heading")),
 ]  # fmt: skip
 
-ENTRIES = [*_OPTIONS, *_AT_CONTROL_RATE, *_VELOCITY, *_PER_POLICY_STEP]
+ENTRIES = [*_OPTIONS, *_AT_CONTROL_RATE, *_FORCE, *_VELOCITY, *_PER_POLICY_STEP]

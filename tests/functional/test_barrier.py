@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from ppt_rl.functional import PlaneBarrier, SpeedBarrier, project_half_spaces
@@ -10,7 +10,7 @@ from tests.sampling import normal
 
 F64 = torch.float64
 MASS = torch.tensor((8.35, 4.9, 8.75), dtype=F64)
-LAWS = settings(max_examples=3, deadline=None, derandomize=True)
+LAWS = settings(max_examples=3, deadline=None, derandomize=True, phases=(Phase.generate,))
 SEEDS = st.integers(0, 10**6)
 DT = 0.01
 
@@ -36,12 +36,17 @@ def move(barriers, seed, *, steps=60, force=60.0, x=None, v=None, rows=32):
 @LAWS
 @given(seed=SEEDS)
 def test_a_point_mass_keeps_below_its_speed_up_to_what_a_turn_in_one_step_adds(rate, seed):
-    _, velocity, acceleration = move([SpeedBarrier(0.3, rate)], seed)
+    _, velocity, acceleration = move([SpeedBarrier(0.3, rate)], seed, force=20.0)
     speed = velocity.norm(dim=-1)
-    sideways = DT * acceleration.norm(dim=-1)
-    assert speed.max() > 0.25
-    assert (speed <= (0.3**2 + sideways**2).sqrt() + 1e-9).all()
-    assert (speed <= 0.33).float().mean() > 0.95
+    assert speed.max() > 0.2
+    assert (speed[1:] <= allowed(speed[:-1], acceleration[1:], 0.3, rate)).all()
+    assert (speed <= 0.4).all()  # the forces change it by up to 12 cm/s in a control step
+
+
+def allowed(speed, acceleration, v_max, rate):
+    """Largest speed one control step later: along the motion what the barrier allows, across it what the force adds."""
+    along = speed + rate * DT * (v_max - speed)
+    return (along.square() + (DT * acceleration.norm(dim=-1)).square()).sqrt() + 1e-9
 
 
 def test_a_speed_above_the_limit_falls_by_the_rate():
@@ -72,18 +77,18 @@ def test_a_corner_and_a_speed_are_kept_together(seed):
     position, velocity, acceleration = move(barriers, seed)
     assert (position[..., 0] >= -0.03 - 1e-9).all()
     assert (position[..., 2] >= -0.03 - 1e-9).all()
-    assert (velocity.norm(dim=-1) <= (0.4**2 + (DT * acceleration.norm(dim=-1)) ** 2).sqrt() + 1e-9).all()
+    speed = velocity.norm(dim=-1)
+    assert (speed[1:] <= allowed(speed[:-1], acceleration[1:], 0.4, 50.0)).all()
 
 
-def test_without_its_term_for_the_control_step_the_plane_would_be_crossed():
+def test_without_its_term_for_the_control_step_the_barrier_would_be_broken():
     class Continuous(PlaneBarrier):
         def half_space(self, position, velocity, inertia, dt):
             return super().half_space(position, velocity, inertia, 0.0)
 
     def lowest(kind):
-        pushed = torch.zeros(1, 3, dtype=F64), torch.tensor([[0.0, 0.0, -1.0]], dtype=F64)
-        path = move([kind(offset=-0.01, rate=100.0)], 0, x=pushed[0], v=pushed[1], rows=1, force=500.0, steps=60)
-        return (next(iter(path))[..., 2] + 0.01).min()
+        position, velocity, _ = move([kind(offset=-0.01, rate=80.0)], 0, force=500.0)
+        return (velocity[..., 2] + 80 * (position[..., 2] + 0.01)).min()
 
-    assert lowest(PlaneBarrier) >= -1e-12
-    assert lowest(Continuous) < -1e-3
+    assert lowest(PlaneBarrier) >= -1e-9
+    assert lowest(Continuous) < -0.05

@@ -15,7 +15,9 @@ from ppt_rl.functional import (
     braking_part,
     cartesian_impedance,
     critical_damping,
+    damping_factor,
     energy_tank,
+    govern_reference,
     joint_torque,
     nullspace_torque,
     orientation_error,
@@ -24,9 +26,11 @@ from ppt_rl.functional import (
     penalised,
     pid_multiplier,
     power,
+    project_half_spaces,
     promp,
     rate_tank,
     rotations,
+    stiffness_factor,
     summarise_metrics,
     update_metrics,
 )
@@ -94,6 +98,13 @@ def measured(twist, wrench):
     return summarise_metrics(update_metrics(memory, 2 * twist, wrench, power(wrench, twist), CONFIG, dt=0.01))
 
 
+def governed(reference, twist, pose, last, moving, stiffness, damping):
+    asked, lag = torch.cat([reference, twist], -1), reference[..., :2].abs()
+    return govern_reference(
+        asked, pose, stiffness, damping, last, lag, limits=(9.0, 1.0), speeds=(0.2, 1.0), dt=0.01, moving=moving
+    )
+
+
 #: Functions of tensors, each with arguments that have a batch dimension.
 CASES = {
     "passive_tank": (passive, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
@@ -104,6 +115,20 @@ CASES = {
     "cartesian_impedance": (
         cartesian_impedance,
         lambda: (poses(), normal(B, 6), poses(1), normal(B, 6, seed=1), positive(B, 6), positive(B, 6)),
+    ),
+    "govern_reference": (
+        governed,
+        lambda: (
+            poses(), normal(B, 6), poses(1), poses(2), normal(B, 6, seed=1), positive(B, 6), positive(B, 6)
+        ),
+    ),
+    "stiffness_factor": (lambda t, v: stiffness_factor(t, v, 0.7), lambda: (positive(B, 1), positive(B, 1))),
+    "damping_factor": (
+        lambda *a: damping_factor(*a[:3], 0.1, 1 + a[3]),
+        lambda: (9 * normal(B, 6), normal(B, 6, seed=1), positive(B, 6), positive(B, 1)),
+    ),
+    "project_half_spaces": (
+        project_half_spaces, lambda: (normal(B, 3), normal(B, 2, 3, seed=1), normal(B, 2, seed=2))
     ),
     "orientation_error": (orientation_error, lambda: (quats(), random_quats(B, seed=3))),
     "critical_damping": (critical_damping, lambda: (positive(B, 6), positive(B, 6), positive(B, 6))),
@@ -168,7 +193,9 @@ def test_mapping_over_the_rows_gives_what_the_batch_gives(name):
 
 
 @pytest.mark.parametrize("backend", ["eager", "aot_eager"])
-@pytest.mark.parametrize("name", ["energy_tank", "cartesian_impedance", "joint_effort", "wall_contact", "decode"])
+@pytest.mark.parametrize(
+    "name", ["energy_tank", "cartesian_impedance", "govern_reference", "joint_effort", "wall_contact", "decode"]
+)
 def test_a_function_compiles_into_one_graph_and_gives_the_same(name, backend):
     function, make = CASES[name]
     torch._dynamo.reset()
