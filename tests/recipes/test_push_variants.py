@@ -38,7 +38,7 @@ from ppt_rl.transforms import EnergyTankTransform
 STEPS, HOLD = 20, 5  # control steps of an episode, and from one decision of a step-wise policy to the next
 PUSH = ["JointTorqueTransform", "ImpedanceTransform", "EpisodeMetricsTransform"]
 #: With the tank at the motors and the paper's, on the wrench.
-TANKS = ["EnergyTankTransform", PUSH[0], "EnergyTankTransform", *PUSH[1:]]
+TANKS = ["EnergyTankTransform", PUSH[0], "EnergyTankTransform", "EnergyPenaltyTransform", *PUSH[1:]]
 PROMP = ["MacroStepTransform", "ProMPTransform", "ViaPointTransform"]
 STEPWISE = ["CartesianVelocityTransform", "MacroStepTransform", "HoldActionTransform", "StepCounter", "UnaryTransform"]
 #: Transforms of each variant in order; the tank acts at control rate, so it stands before the macro step.
@@ -46,6 +46,7 @@ CHAINS = {
     "lagrangian_push": [*PUSH[:2], "PowerLimitTransform", PUSH[2], *PROMP],
     "pp_push": [*PUSH, *PROMP],
     "ppt_push": [*TANKS, *PROMP],
+    "ppt_safe_push": [*TANKS[:-1], "ReferenceGovernorTransform", TANKS[-1], *PROMP],
     "s_push": [*PUSH, *STEPWISE],
     "st_push": [*TANKS, *STEPWISE],
 }
@@ -55,6 +56,7 @@ EXTRA = {
     "lagrangian_push": [],
     "pp_push": [],
     "ppt_push": ["tank_energy", "valve"],
+    "ppt_safe_push": ["tank_energy", "valve"],
     "s_push": ["reference_position", "last_action"],
     "st_push": ["reference_position", "last_action", "tank_energy", "valve"],
 }
@@ -281,7 +283,7 @@ def test_a_recorded_episode_holds_what_was_seen_after_each_of_its_control_steps(
 
 @variants
 def test_only_a_policy_on_residuals_has_a_reference_to_run_alone(policies, variant):
-    has_one = variant in ("lagrangian_push", "pp_push", "ppt_push")
+    has_one = variant not in ("s_push", "st_push")
     assert policies[variant].baselines() == (["reference alone", "naive reference"] if has_one else [])
     if not has_one:
         with pytest.raises(ValueError, match=f"'reference alone' is unknown for {variant}; expected one of"):
