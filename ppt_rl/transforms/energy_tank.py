@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.utils import NestedKey, unravel_key, unravel_key_list
+from tensordict.utils import NestedKey, unravel_key_list
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
@@ -15,12 +15,11 @@ from ppt_rl.functional.energy_tank import TANK_LAWS
 from ppt_rl.functional.limits import EffortBounds, scale_into
 from ppt_rl.functional.tank_laws import beside
 from ppt_rl.modules.kinematics import Kinematics
-from ppt_rl.transforms.base import ActionTransform
 from ppt_rl.transforms.chain import transforms_after
 from ppt_rl.transforms.flow import flow_of_size, same_shape
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
+from ppt_rl.transforms.step_limits import StepLimitsTransform
 from ppt_rl.transforms.tank_inputs import (
-    limit_within,
     passing_part,
     require_inertia,
     require_keys,
@@ -35,11 +34,9 @@ __all__ = ["EnergyTankTransform"]
 _FLOWS = ("twist", "joint_velocity")
 #: Where the bounds of the action are stored on the parent, which belongs to this transform alone.
 _BOUNDS = "_bounds_of_effort"
-#: Likewise the limits per step that this transform holds, by key.
-_HELD = "_held_limits_of_tank"
 
 
-class EnergyTankTransform(TimedTransform, ActionTransform):
+class EnergyTankTransform(TimedTransform, StepLimitsTransform):
     r"""Scales an effort action so that its power and its total work stay within a budget.
 
     .. math::
@@ -213,37 +210,6 @@ class EnergyTankTransform(TimedTransform, ActionTransform):
         shape = (*effort.shape[:-1], 1)
         require_level(self.energy_key, given, own, self.e_max, shape, self._stepping(tensordict))
         return given if own is None else torch.minimum(given, own)
-
-    # -- limits per step ----------------------------------------------------------------------------------------------
-
-    def _limit(self, tensordict: TensorDictBase, key: NestedKey | None, most: float, effort: Tensor) -> float | Tensor:
-        """A limit of this step: its hard bound, or what the tensordict says ``(*B, 1)``."""
-        if key is None:
-            return most
-        given = tensordict.get(key, None)
-        if given is None:
-            if self.parent is None:
-                return most
-            raise KeyError(
-                f"EnergyTankTransform finds no limit {key!r} in the tensordict; expected the one that reset or the "
-                "last step returned, or a policy's own. Step from their tensordict, and select this entry too."
-            )
-        limit = limit_within(key, given, most, effort)
-        if self.parent is not None and key in self._held():
-            self._stash(tensordict, key, limit)
-        return limit
-
-    def _held(self) -> dict[NestedKey, float]:
-        """Limits per step that are part of this tank's state, with their hard bounds: those nobody else observes."""
-        own, parent = {self.p_max_key: self.p_max, self.e_max_key: self.e_max}, self.parent
-        if own.keys() == {None}:
-            return {}
-        if _HELD not in parent.__dict__:
-            others = parent.full_observation_spec.keys(True, True)
-            parent.__dict__[_HELD] = {
-                key: most for key, most in own.items() if key is not None and unravel_key(key) not in others
-            }
-        return parent.__dict__[_HELD]
 
     # -- bounds -------------------------------------------------------------------------------------------------------
 

@@ -225,13 +225,13 @@ def test_a_macro_step_carries_limits_over_its_control_steps():
     check_env_specs(env)
     td = env.reset()
     td["p_limit"], td["e_limit"] = torch.tensor([[0.25], [1.5]]), torch.tensor([[0.5], [0.75]])
-    after = env.step(td.set("action", torch.full((2, 4, 7), 30.0)))["next"]
-    traced = after["trace"]
+    stepped = env.step(td.set("action", torch.full((2, 4, 7), 30.0)))
+    after, traced = stepped["next"], stepped["next", "trace"]
     assert torch.equal(traced["p_limit"], torch.tensor([0.25, 1.5]).reshape(2, 1, 1).expand(2, 4, 1))
     assert (traced["tank_energy"] <= torch.tensor([0.5, 0.75]).reshape(2, 1, 1)).all()
     assert after["p_limit"].flatten().tolist() == [0.25, 1.5]
     assert (0.5 - after["tank_energy"][0] <= 4 * 0.01 * 0.25 + 1e-6).all()
-    held = env.step(env._step_mdp(after).set("action", torch.full((2, 4, 7), 30.0)))["next"]
+    held = env.step(env._step_mdp(stepped).set("action", torch.full((2, 4, 7), 30.0)))["next"]
     assert held["p_limit"].flatten().tolist() == [0.25, 1.5]
 
 
