@@ -30,7 +30,7 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
 
     Append it before a :class:`MacroStepTransform`, which sums ``cost`` (under that key) over the control steps as it
     sums rewards. If it terminates episodes, append it before an :class:`EpisodeMetricsTransform` too, which has to see
-    where episodes end. The penalty changes the reward only, not the entries under ``reward_terms``.
+    where episodes end. The penalty changes the reward of the environment only, not the entries under ``reward_terms``.
 
     Args:
         p_max: limit of the power [W].
@@ -41,7 +41,6 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
         twist_key: measured twist.
         power_key: a power ``(*B, 1)`` [W] to take instead of the measured one, such as the commanded ``"power"`` of a
             :class:`JointTorqueTransform`; append this transform after that one.
-        reward_key: the reward that the penalty is subtracted from.
         cost_key: where the cost is written.
 
     Raises:
@@ -69,7 +68,6 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
         wrench_key: NestedKey = "wrench",
         twist_key: NestedKey = "twist",
         power_key: NestedKey | None = None,
-        reward_key: NestedKey = "reward",
         cost_key: NestedKey = "cost",
     ) -> None:
         readings = [wrench_key, twist_key] if power_key is None else [power_key]
@@ -78,7 +76,6 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
         self.penalty = require_in_range("penalty", penalty, 0.0, unit="[1/J]")
         require_instance("terminate", terminate, bool)
         self.terminate = terminate
-        self.reward_key = reward_key
         self.dt = dt
 
     def _outputs(self, tensordict: TensorDictBase, state: Entries, *readings: Tensor) -> Entries:
@@ -96,7 +93,8 @@ class PowerLimitTransform(TimedTransform, ObserverTransform):
             cost = torch.where(stepping.unsqueeze(-1), cost, torch.zeros_like(cost))
             next_tensordict.set(self.out_keys[0], cost)
         if self.penalty:
-            next_tensordict.set(self.reward_key, next_tensordict.get(self.reward_key) - self.penalty * cost)
+            reward = "reward" if self.parent is None else self.parent.reward_key
+            next_tensordict.set(reward, next_tensordict.get(reward) - self.penalty * cost)
         if self.terminate:
             for key in ("terminated", "done"):
                 next_tensordict.set(key, next_tensordict.get(key) | (cost > 0))
