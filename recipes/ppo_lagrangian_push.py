@@ -42,7 +42,7 @@ from ppt_rl.transforms import (
 
 Cost = Literal["work", "excess"]
 #: Default limits [J per episode]; that of the work is what PPT does behind its tank, in the mean over three seeds.
-_LIMITS = {"work": 1.29, "excess": 0.1}
+_LIMITS = {"work": 1.2, "excess": 0.1}
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Config(EpisodeLevelConfig):
 
     Attributes:
         cost: what is limited: the commanded work of an episode, or the part of it that was done above p_max.
-        cost_limit: limit of its mean [J per episode]; None takes 1.29 J for the work, the mean of PPT's, and 0.1 J for
+        cost_limit: limit of its mean [J per episode]; None takes 1.2 J for the work, the mean of PPT's, and 0.1 J for
             the excess.
         pid: gains of the controller that moves the multiplier.
         initial_multiplier: multiplier to start from [1/J].

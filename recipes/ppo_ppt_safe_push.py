@@ -96,7 +96,7 @@ def fit(config: Config, promp: ProMP) -> None:
 
 RECIPE = Recipe(
     "ppt_safe_push", "PPT, governed", PUSH, Config, make_chain, make_policy, make_modules, fit,
-    has_tank=True, has_reference=True,
+    has_tank=True, has_reference=True, in_study=False,
 )  # fmt: skip
 
 if __name__ == "__main__":
