@@ -82,7 +82,7 @@ def test_a_run_does_not_go_on_under_another_limit_or_other_gains(begun, tmp_path
 
 
 def test_the_limit_follows_the_cost_unless_it_is_given():
-    assert Config().cost_limit == 1.29
+    assert Config().cost_limit == 1.2
     assert Config(cost="excess").cost_limit == 0.1
     assert with_settings(Config(), {"cost": "excess"}).cost_limit == 0.1
     assert with_settings(Config(cost_limit=2.0), {"cost": "excess"}).cost_limit == 2.0
