@@ -36,13 +36,14 @@ class Config(EpisodeLevelConfig):
 
     Attributes:
         e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
-        energy_penalty: reward subtracted for energy from the tank, in training [1/J].
+        energy_penalty: reward subtracted for energy from the tank, in training [1/J]; None takes that of the goal: 0.5/J for
+            a pose, none for a position.
         tank_mode: law of both tanks: paper, passive, parallel or rate.
     """
 
     run_dir: Path = Path("runs/ppt_push")
     e_max: ByGoal = None  # type: ignore[assignment]
-    energy_penalty: float = 0.5
+    energy_penalty: ByGoal = None  # type: ignore[assignment]
     tank_mode: str = "paper"
 
     bounds: ClassVar[dict[str, Bounds]] = {"energy_penalty": Bounds(0.0, 1e6, "1/J")}

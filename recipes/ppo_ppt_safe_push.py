@@ -37,7 +37,8 @@ class Config(EpisodeLevelConfig):
 
     Attributes:
         e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
-        energy_penalty: reward subtracted for energy from the tank, in training [1/J].
+        energy_penalty: reward subtracted for energy from the tank, in training [1/J]; None takes that of the goal: 0.5/J for
+            a pose, none for a position.
         tank_mode: law of both tanks: paper, passive, parallel or rate.
         f_max: largest force with which the impedance pushes a tool that is held still [N].
         catch_up_speed: speed at which the governed reference catches up once the tool comes free [m/s].
@@ -45,7 +46,7 @@ class Config(EpisodeLevelConfig):
 
     run_dir: Path = Path("runs/ppt_safe_push")
     e_max: ByGoal = None  # type: ignore[assignment]
-    energy_penalty: float = 0.5
+    energy_penalty: ByGoal = None  # type: ignore[assignment]
     tank_mode: str = "rate"
     f_max: float = 10.0
     catch_up_speed: float = 0.5

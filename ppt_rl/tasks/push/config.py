@@ -30,6 +30,7 @@ else:  # a number that __post_init__ fills in where it is None
 _BY_GOAL = {
     "duration": {"pose": 1.5, "position": 3.0},
     "e_max": {"pose": 1.3, "position": 3.0},
+    "energy_penalty": {"pose": 0.5, "position": 0.0},
     "max_velocity": {"pose": 0.4, "position": 0.2},
 }
 
