@@ -37,8 +37,8 @@ class Config(EpisodeLevelConfig):
 
     Attributes:
         e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
-        energy_penalty: reward subtracted for energy from the tank, in training [1/J]; None takes that of the goal: 0.5/J for
-            a pose, none for a position.
+        energy_penalty: reward subtracted for energy from the tank, in training [1/J]; None takes that of the goal: 0.5
+            for a pose, 0 for a position.
         tank_mode: law of both tanks: paper, passive, parallel or rate.
         f_max: largest force with which the impedance pushes a tool that is held still [N].
         catch_up_speed: speed at which the governed reference catches up once the tool comes free [m/s].

@@ -41,8 +41,8 @@ class Config(StepWiseConfig):
 
     Attributes:
         e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
-        energy_penalty: reward subtracted for energy from the tank, in training [1/J]; None takes that of the goal: 0.5/J for
-            a pose, none for a position.
+        energy_penalty: reward subtracted for energy from the tank, in training [1/J]; None takes that of the goal: 0.5
+            for a pose, 0 for a position.
         tank_mode: law of both tanks: paper, passive, parallel or rate.
     """
 

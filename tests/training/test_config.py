@@ -19,7 +19,7 @@ ABSURD = {
     "promp_duration": 1e9, "seed": 2**40,
 }  # fmt: skip
 #: Numbers of which None takes the default of the goal, or of the cost.
-_OF_THE_GOAL = ("cost_limit", "duration", "e_max", "max_velocity")
+_OF_THE_GOAL = ("cost_limit", "duration", "e_max", "energy_penalty", "max_velocity")
 ABSURD_PPO = {"total_control_steps": 10**15, "epochs": 10**9, "minibatches": 10**9, "checkpoint_every": 10**12}
 
 
@@ -143,7 +143,7 @@ def test_a_choice_is_one_of_its_words():
 
 def test_with_another_goal_what_was_left_to_it_follows_and_what_was_set_stays():
     config = find_recipe("st_push").config()
-    assert (config.duration, config.e_max, config.max_velocity) == (1.5, 1.3, 0.4)
+    assert (config.duration, config.e_max, config.energy_penalty, config.max_velocity) == (1.5, 1.3, 0.5, 0.4)
     moved = with_settings(config, {"goal": "position"})
     assert moved == find_recipe("st_push").config(goal="position")
     for settings in ({"duration": "1.5", "goal": "position"}, {"goal": "position", "duration": "1.5"}):
