@@ -32,7 +32,7 @@ def pushed(promp, *, steps=0, tank=None, posture=True, **changes) -> tuple[recip
     config = replace(POSITION, physics_dt=0.001, replan_steps=steps, **changes)
     with pytest.MonkeyPatch.context() as patch:
         # The accounting is that of the paper's tank; the one at the motors would stop what a wrong one lets through.
-        patch.setattr(recipe, "motor_tank", lambda p_max, e_max: motor_tank(1e6, 1e6))
+        patch.setattr(recipe, "motor_tank", lambda p_max, e_max, *law: motor_tank(1e6, 1e6))
         if tank is not None:
             patch.setattr(recipe, "EnergyTankTransform", tank)
         if not posture:

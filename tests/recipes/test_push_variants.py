@@ -155,14 +155,14 @@ def test_the_registry_knows_every_pushing_recipe_by_its_own_name(root):
 def test_the_chain_of_a_variant_is_what_its_name_says(untrained, variant):
     env = untrained[variant].env
     assert chain(env) == CHAINS[variant]
-    assert ("tank_energy" in env.observation_spec.keys()) == variant.endswith("t_push")
+    assert ("tank_energy" in env.observation_spec.keys()) == find_recipe(variant).has_tank
 
 
 @variants
 def test_the_tank_and_the_metrics_have_the_limits_of_the_options(untrained, variant):
     parts = {type(part).__name__: part for part in untrained[variant].env.transform}
     assert parts["EpisodeMetricsTransform"].config.p_max == 1.25
-    if variant.endswith("t_push"):
+    if find_recipe(variant).has_tank:
         tanks = [part for part in untrained[variant].env.transform if isinstance(part, EnergyTankTransform)]
         assert [(tank.p_max, tank.e_max, tank.dt) for tank in tanks] == [(1.25, 2.5, 0.01)] * 2
         assert [tank.flow_key for tank in tanks] == ["joint_velocity", "twist"]
