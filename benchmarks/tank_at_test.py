@@ -126,7 +126,8 @@ def draw(results: list[dict[str, Any]], trained: dict[str, float], path: Path) -
         axes.grid(alpha=0.3)
     figure.axes[0].set_ylabel("success [0-1]")
     figure.axes[0].set_ylim(0, 1)
-    figure.axes[1].legend(loc="lower right")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     save_figure(figure, path)
 
 
