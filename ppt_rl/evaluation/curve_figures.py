@@ -65,6 +65,8 @@ def plot_curves(curves: Mapping[str, Sequence[TrainingCurve]], path: Path, *, p_
         row[1].axhline(p_max, color="black", ls="--", lw=1.2, label="limit of the tank")
     grid[0, 0].set_ylim(0, 102)
     grid[0, 1].set_yscale("log")
+    grid[0, 1].yaxis.set_major_formatter("{x:g}")
+    grid[0, 1].yaxis.set_minor_formatter("{x:g}")
     handles, names = grid[0, 1].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=len(names))
     figure.suptitle(_TITLE.format(window=window), fontsize=9)
