@@ -51,13 +51,15 @@ def with_tank(policy: Policy, behind: Policy) -> Policy:
     """A policy in the chain, and with the tank, of another one of the same task.
 
     Args:
-        policy: the policy that acts; it reads nothing that its own chain does not write.
+        policy: the policy that acts; it reads nothing that its own chain does not write. Its options that the other one
+            lacks, such as those of a constraint, do not count.
         behind: the policy whose chain has the tank.
 
     Returns:
         The policy behind the tank.
     """
-    shared = {f.name: getattr(policy.config, f.name) for f in fields(policy.config)}
+    known = {f.name for f in fields(behind.config)}
+    shared = {f.name: getattr(policy.config, f.name) for f in fields(policy.config) if f.name in known}
     config = replace(behind.config, **shared)
     recipe = replace(behind.recipe, make_policy=policy.recipe.make_policy, label=f"{policy.recipe.label} + tank")
     return replace(policy, recipe=recipe, config=config)

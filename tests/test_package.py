@@ -26,7 +26,7 @@ def test_importing_the_package_imports_no_heavy_library():
 
 
 def test_every_variant_has_a_published_policy():
-    assert set(published_policies()) == {*shipped_recipes(), "ppt_push_position"}
+    assert set(published_policies()) == {*shipped_recipes(), "ppt_push_position", "s_push_position"}
 
 
 @pytest.mark.parametrize("name", ["ppt_push", "s_push", "ppt_push_position"])
