@@ -32,11 +32,14 @@ def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, st
         metrics: labels of the axes by metric.
         path: path of the picture.
     """
-    figure = Figure(figsize=(3.1 * len(metrics), 3.8), layout="constrained")
-    for axes, (name, label) in zip(np.atleast_1d(figure.subplots(1, len(metrics))), metrics.items(), strict=True):
+    figure = Figure(figsize=(3.1 * len(metrics) + 1.5, 1.2 + 0.35 * len(rows)), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(metrics), sharey=True))
+    for axes, (name, label) in zip(panels, metrics.items(), strict=True):
         drawn = axes.boxplot(
             [values[name] for values in rows.values()],
-            tick_labels=[name.replace(" ", "\n") for name in rows],
+            tick_labels=list(rows) if axes is panels[0] else None,
+            manage_ticks=axes is panels[0],
+            orientation="horizontal",
             whis=(5, 95),
             showfliers=False,
             patch_artist=True,
@@ -45,13 +48,14 @@ def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, st
         )
         for patch, variant in zip(drawn["boxes"], rows, strict=True):
             patch.set(facecolor=VARIANT_COLORS.get(variant, GREY), alpha=0.7)
-        axes.set_ylabel(label)
+        axes.set_xlabel(label)
         medians = [np.median(values[name]) for values in rows.values()]
         if min(medians) > 0 and max(medians) > 20 * min(medians):
-            axes.set_yscale("log")
+            axes.set_xscale("log")
         else:
-            axes.set_ylim(bottom=0)
-        axes.grid(axis="y", alpha=0.3)
+            axes.set_xlim(left=0)
+        axes.grid(axis="x", alpha=0.3)
+    panels[0].invert_yaxis()  # the first row on top, as in the tables
     save_figure(figure, path)
 
 
