@@ -12,12 +12,11 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
 
-torch.set_num_threads(1)  # the tensors here are small: more threads only get in each other's way
-
-
 @pytest.fixture(autouse=True)
-def _seed() -> None:
+def _torch_as_new() -> None:
+    """Each test begins with the same seed, and with one thread, since the tensors here are small."""
     torch.manual_seed(0)
+    torch.set_num_threads(1)
 
 
 @pytest.fixture
