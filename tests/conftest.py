@@ -12,6 +12,9 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
 
+torch.set_num_threads(1)  # fixtures of modules run before the first test does
+
+
 @pytest.fixture(autouse=True)
 def _torch_as_new() -> None:
     """Each test begins with the same seed, and with one thread, since the tensors here are small."""
