@@ -14,7 +14,7 @@ from ppt_rl.envs.contact_audit import CONTACT
 from ppt_rl.evaluation.collision_figure import plot_collisions
 from ppt_rl.evaluation.episodes import Rows, require_run_options, run_episodes
 from ppt_rl.evaluation.judge import rows_of
-from ppt_rl.evaluation.limits import LIMITS, shares_above
+from ppt_rl.evaluation.limits import LIMITS, TRANSIENT_FACTOR, shares_above
 from ppt_rl.evaluation.policy import Policy
 from ppt_rl.evaluation.scenario import Scenario
 from ppt_rl.evaluation.spring_energy import SPRING_ENERGY
@@ -90,7 +90,7 @@ class Collisions:
         """Markdown: forces, power, work and energy, then shares of the episodes above the limits of ISO/TS 15066."""
         names = [name for name in QUANTITIES if name != "held_force"]
         head = ["scenario", "policy", *(f"{name} [{QUANTITIES[name]}]" for name in names), "contact", "success"]
-        bodies = [f"{body} {limit:g} / {2 * limit:g} N" for body, limit in LIMITS.items()]
+        bodies = [f"{body} {limit:g} / {TRANSIENT_FACTOR * limit:g} N" for body, limit in LIMITS.items()]
         values, shares = [], []
         for group, found in self.groups():
             for policy, rows in found.items():

@@ -7,6 +7,7 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.data import TensorSpec
 
+from ppt_rl.functional.energy_aware_impedance import spring_energy
 from ppt_rl.functional.impedance import orientation_error
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.transforms.base import ActionTransform
@@ -54,8 +55,8 @@ class SpringEnergyTransform(ActionTransform):
         (pose,) = self._recall(tensordict, self.pose_key)
         linear = reference[..., :3] - pose[..., :3]
         error = torch.cat([linear, orientation_error(pose[..., 3:], reference[..., 3:7])], -1)
-        energy = 0.5 * (self.controller.stiffness.to(error.dtype) * error.square()).sum(-1, keepdim=True)
-        self._stash(tensordict, SPRING_ENERGY, energy)
+        stiffness = self.controller.stiffness.to(error.dtype)
+        self._stash(tensordict, SPRING_ENERGY, spring_energy(error, stiffness))
         return tensordict
 
     def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
