@@ -1,4 +1,10 @@
-"""Checks that refuse bad input early: shapes, finiteness, ranges."""
+"""Checks that refuse bad input early: shapes, finiteness, ranges.
+
+Every check of the values of a tensor goes through :func:`is_readable`. Values on the CPU are looked at, and a violation
+is an exception at once. To look at values on a GPU, the host would have to wait for all that was queued before, at
+every control step. There a check is queued as a device-side assertion instead, so nothing that was computed from bad
+input is ever read, and a shortcut that depends on values is not taken.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +22,8 @@ __all__ = [
     "Bounds",
     "all_at_most",
     "are_finite",
+    "is_readable",
+    "none_true",
     "require_all",
     "require_at_most",
     "require_bounds",
@@ -98,25 +106,49 @@ def require_bounds(options: Any, bounds: Mapping[str, Bounds]) -> None:
                 raise ValueError(f"{name} is {entry}; expected a finite number.")
 
 
+def is_readable(value: Tensor) -> bool:
+    """Whether the host may look at the values of a tensor without waiting for a device.
+
+    Args:
+        value: any tensor.
+
+    Returns:
+        True for tensors on the CPU, but for those that only stand for values, under ``torch.compile``, ``torch.export``
+        and ``torch.func`` (``vmap``, ``grad``).
+    """
+    return value.device.type == "cpu" and not _is_traced()
+
+
+def none_true(condition: Tensor) -> bool:
+    """Whether a condition is known to hold nowhere.
+
+    Args:
+        condition: boolean tensor.
+
+    Returns:
+        False where an entry is True, or where nothing is known, because the tensor is not readable.
+    """
+    return is_readable(condition) and not condition.any()
+
+
 def all_at_most(value: Tensor, most: float) -> bool:
-    """Whether every entry of a tensor on the CPU is known to be at most a number.
+    """Whether every entry of a tensor is known to be at most a number.
 
     Args:
         value: any tensor with at least one entry.
         most: the number.
 
     Returns:
-        False where an entry is larger or NaN, or where nothing is known: the tensor is elsewhere, or being traced.
+        False where an entry is larger or NaN, or where nothing is known, because the tensor is not readable.
     """
-    return (
-        not _is_traced() and value.device.type == "cpu" and value.numel() > 0 and float(value.detach().amax()) <= most
-    )
+    return is_readable(value) and value.numel() > 0 and value.detach().amax().item() <= most
 
 
 def require_all(condition: Tensor, message: str) -> None:
     """Raise unless a condition holds everywhere.
 
-    On a GPU the check does not synchronise with the host: it fails later, as a device-side assertion.
+    On a GPU the check does not synchronise with the host: it fails later, as a device-side assertion. It is left out
+    where no numbers are at hand, as in :func:`require_finite`.
 
     Args:
         condition: boolean tensor.
@@ -125,9 +157,10 @@ def require_all(condition: Tensor, message: str) -> None:
     Raises:
         ValueError: if an entry of a CPU tensor is False.
     """
-    if condition.device.type != "cpu":
-        torch._assert_async(condition.all(), message)
-    elif not bool(condition.all()):
+    if not is_readable(condition):
+        if not _is_traced():
+            torch._assert_async(condition.all(), message)
+    elif not condition.all():
         raise ValueError(message)
 
 
@@ -137,16 +170,15 @@ def _is_traced() -> bool:
 
 
 def are_finite(value: Tensor) -> bool:
-    """Whether a tensor on the CPU is known to have finite entries only, from their sum.
+    """Whether a tensor is known to have finite entries only, from their sum.
 
     Args:
         value: any tensor.
 
     Returns:
-        False where an entry is not finite, or where nothing is known: the sum overflows, the tensor is elsewhere, or
-        the function is being traced.
+        False where an entry is not finite, or where nothing is known: the sum overflows, or the tensor is not readable.
     """
-    return not _is_traced() and value.device.type == "cpu" and math.isfinite(value.detach().sum())
+    return is_readable(value) and math.isfinite(value.detach().sum())
 
 
 def require_finite(name: str, value: Tensor) -> None:
@@ -162,13 +194,12 @@ def require_finite(name: str, value: Tensor) -> None:
     Raises:
         ValueError: if an entry of a CPU tensor is not finite.
     """
-    if _is_traced():
+    if are_finite(value) or _is_traced():
         return
-    # If the sum is finite, so is every entry. The converse fails on overflow only: then each entry is checked.
-    if value.device.type != "cpu":
+    if not is_readable(value):
         torch._assert_async(torch.isfinite(value).all(), f"{name} is not finite")
-        return
-    if not math.isfinite(value.detach().sum()) and not bool(torch.isfinite(value).all()):
+    # If the sum is finite, so is every entry. The converse fails on overflow only: then each entry is checked.
+    elif not torch.isfinite(value).all():
         bad = int((~torch.isfinite(value)).sum())
         raise ValueError(
             f"{name} holds {bad} NaN or infinite entries of {value.numel()} (shape {tuple(value.shape)}); "

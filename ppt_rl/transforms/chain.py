@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from tensordict import TensorDictBase
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
-__all__ = ["attribute", "base_of", "parent_of", "transforms_after", "transforms_of"]
+__all__ = ["attribute", "base_of", "parent_of", "step_inside", "transforms_after", "transforms_of"]
 
 
 def base_of(env: EnvBase) -> EnvBase:
@@ -91,6 +92,31 @@ def transforms_after(transform: Transform) -> Iterator[Transform]:
         if found:
             yield other
         found = found or other is transform
+
+
+def step_inside(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
+    """One step of an environment: ``env._step``, but that a ``_step`` mask goes down as it is.
+
+    ``TransformedEnv`` looks at the mask first, to skip a step of nobody and to drop a mask of everybody. On a GPU the
+    host would wait for its values. A batch-locked environment takes any mask, so here nobody looks; those that step in
+    workers, and those without a lock, are left to torchrl.
+
+    Args:
+        env: any environment.
+        tensordict: root of the step.
+
+    Returns:
+        What follows, as ``env._step`` returns it.
+    """
+    if not isinstance(env, TransformedEnv) or type(env)._step is not TransformedEnv._step:
+        return env._step(tensordict)
+    if not env.batch_locked or isinstance(base_of(env), BatchedEnvBase):
+        return env._step(tensordict)
+    base, transform = env.base_env, env.transform
+    root = transform.inv(tensordict)
+    following = step_inside(base, root)
+    base._complete_done(base.full_done_spec, following)
+    return transform._step(root, following)
 
 
 def _flat(transform: Transform | None) -> Iterator[Transform]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDictBase, is_non_tensor
@@ -12,8 +13,19 @@ from torch import Tensor
 __all__ = ["ChunkMemory", "carried", "trace_key", "where"]
 
 
+class _Executed(NamedTuple):
+    """A control step that was executed: what it returned, who executed it, and whose chunk is over after it."""
+
+    following: TensorDictBase
+    alive: Tensor | None
+    ended: Tensor
+
+
 class ChunkMemory:
     """What the control steps of one chunk add up to. It exists for one step of the environment, in the tensordict.
+
+    Whether an environment ended is looked at once in ``window`` control steps. In between, those that ended are left
+    out of the next step by their mask, and what each step returned is held.
 
     Args:
         tensordict: root of the step, for batch size and device.
@@ -21,6 +33,7 @@ class ChunkMemory:
         discount: discount of rewards from one control step to the next [-].
         sum_keys: entries that are summed.
         trace_keys: entries that are recorded.
+        window: number of control steps after which the host looks at who has ended.
     """
 
     def __init__(
@@ -30,8 +43,9 @@ class ChunkMemory:
         discount: float,
         sum_keys: Sequence[NestedKey],
         trace_keys: Sequence[NestedKey],
+        window: int = 1,
     ) -> None:
-        self.length, self.discount = length, discount
+        self.length, self.discount, self.window = length, discount, window
         self.total: dict[NestedKey, Tensor | None] = dict.fromkeys(sum_keys)
         self.trace: dict[NestedKey, list[Tensor]] = {key: [] for key in trace_keys}
         self.count = torch.zeros(tensordict.batch_size, dtype=torch.int64, device=tensordict.device)
@@ -40,6 +54,9 @@ class ChunkMemory:
         self.alive: Tensor | None = None
         #: What every environment returned after its own last control step.
         self.frozen: TensorDictBase | None = None
+        #: Control steps since the host last looked, and those until it did.
+        self._held: list[_Executed] = []
+        self._seen: list[_Executed] = []
 
     def add(self, following: TensorDictBase) -> None:
         """Add one control step of the environments that are alive.
@@ -56,20 +73,61 @@ class ChunkMemory:
         self.count = self.count + (1 if self.alive is None else self.alive.to(torch.int64))
         self.factor *= self.discount
 
-    def freeze(self, following: TensorDictBase) -> TensorDictBase:
-        """Take over what the environments that are alive returned.
+    def advance(self, following: TensorDictBase, ended: Tensor) -> None:
+        """Add one control step, and hold what it returned.
 
         Args:
             following: what the environment returned.
+            ended: ``(*B,)`` the environments whose chunk is over.
+        """
+        self.add(following)
+        self._held.append(_Executed(following, self.alive, ended))
+        if self.window > 1:  # the next step must leave them out before anybody has looked
+            self.alive = ~ended if self.alive is None else self.alive & ~ended
+
+    def none_goes_on(self) -> bool:
+        """Look at who has ended, and take over what the environments returned in their own last control step.
 
         Returns:
-            What every environment returned after its own last control step.
+            Whether the chunk is over for all environments.
         """
-        if self.alive is None or self.frozen is None:
-            self.frozen = following
-        else:
-            self.frozen = where(self.alive, following, self.frozen)
-        return self.frozen
+        held, self._held = self._held, []
+        self._seen = held
+        if self._nobody_ended(held):
+            self.alive = held[0].alive
+            self.frozen = self._taken_over(held[-1:] if self.alive is None else held)
+            return False
+        self.frozen = self._taken_over(held)
+        last = held[-1]
+        self.alive = ~last.ended if last.alive is None else last.alive & ~last.ended
+        return not self.alive.any()
+
+    def last_to_end(self) -> tuple[int, Tensor]:
+        """Who ended last, after it was found that none goes on.
+
+        Returns:
+            How many control steps ago that was, and which environments they were, ``(*B,)``.
+        """
+        for back, step in enumerate(reversed(self._seen)):
+            rows = step.ended if step.alive is None else step.ended & step.alive
+            if rows.any():
+                return back, rows
+        raise RuntimeError("no environment ended; this is asked only after all of them did.")
+
+    def _nobody_ended(self, held: Sequence[_Executed]) -> bool:
+        if len(held) == 1:
+            return not held[0].ended.any()
+        return held[0].alive is None and bool(self.alive is None or self.alive.all())
+
+    def _taken_over(self, held: Sequence[_Executed]) -> TensorDictBase | None:
+        """What every environment returned after its own last control step, those of ``held`` included."""
+        frozen = self.frozen
+        for step in held:
+            if step.alive is None or frozen is None:
+                frozen = step.following
+            else:
+                frozen = where(step.alive, step.following, frozen)
+        return frozen
 
     def write(self, next_tensordict: TensorDictBase) -> None:
         """Write sums, number of control steps and traces, these padded with zeros to the length of the chunk.

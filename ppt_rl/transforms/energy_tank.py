@@ -10,7 +10,7 @@ from tensordict.utils import NestedKey, unravel_key_list
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
-from ppt_rl.functional.checks import require_positive
+from ppt_rl.functional.checks import is_readable, require_positive
 from ppt_rl.functional.energy_tank import TANK_LAWS
 from ppt_rl.functional.limits import EffortBounds, scale_into
 from ppt_rl.functional.tank_laws import beside
@@ -205,7 +205,7 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
                 "reset or the last step returned. Step from their tensordict, and select this entry too."
             )
         own = self._remembered(tensordict, self.energy_key)
-        if own is not None and own.device.type == "cpu" and torch.equal(given, own):
+        if own is not None and is_readable(own) and torch.equal(given, own):
             return own
         shape = (*effort.shape[:-1], 1)
         require_level(self.energy_key, given, own, self.e_max, shape, self._stepping(tensordict))

@@ -10,6 +10,7 @@ from torchrl.data import TensorSpec
 from torchrl.envs import RandomTruncationTransform, StepCounter, TerminateTransform, Transform
 
 from ppt_rl.functional.argument_checks import require_instance
+from ppt_rl.functional.checks import none_true
 from ppt_rl.functional.metrics import (
     MEMORY_SIZE,
     METRICS,
@@ -104,7 +105,7 @@ class EpisodeMetricsTransform(TimedTransform, ObserverTransform):
 
     def _outputs(self, tensordict: TensorDictBase, state: Entries, *readings: Tensor) -> Entries:
         memory, done = state[_MEMORY], tensordict.get("done", None)
-        if done is not None and not bool(done.any()):
+        if done is not None and none_true(done):
             values = dict.fromkeys(METRICS, torch.zeros_like(memory[..., :1]))
         else:
             values = summarise_metrics(memory)

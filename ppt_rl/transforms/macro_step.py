@@ -11,9 +11,9 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from ppt_rl.functional.argument_checks import require_number, require_whole
-from ppt_rl.functional.checks import require_finite
+from ppt_rl.functional.checks import is_readable, require_finite
 from ppt_rl.transforms.base import ActionTransform
-from ppt_rl.transforms.chain import base_of
+from ppt_rl.transforms.chain import base_of, step_inside
 from ppt_rl.transforms.chunk import ChunkMemory, carried, trace_key, where
 from ppt_rl.transforms.specs import nest_of, replace_leaf, set_leaf
 from ppt_rl.transforms.workers import steps_whole_workers, whole_workers
@@ -22,6 +22,8 @@ __all__ = ["MacroStepTransform"]
 
 _MEMORY = "_macro_step"
 _SUMMED = "_keys_summed_by_macro_step"
+#: Control steps between two looks at who has ended, where a look makes the host wait for a device.
+_WINDOW = 16
 
 
 class MacroStepTransform(ActionTransform):
@@ -42,6 +44,9 @@ class MacroStepTransform(ActionTransform):
     stepping, for the others, and continues from there at its next policy step. If every environment ends before the
     chunk does, the base environment is stepped once more and its answer discarded. If all wait and no episode is over,
     those that were interrupted last execute one more control step.
+
+    On a GPU the host does not wait for every control step to see who has ended. It looks once in 16 control steps;
+    until then those that have ended are left out by a ``_step`` mask, which may then select none.
 
     Over ``SerialEnv`` or ``ParallelEnv`` it works too; where a worker holds several environments, which only step
     together, those that have ended move on unseen until the others have. Inside the workers it saves that, and most of
@@ -86,8 +91,9 @@ class MacroStepTransform(ActionTransform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.parent is None:
             raise RuntimeError("MacroStepTransform steps an environment and has none; append it to a TransformedEnv.")
-        steps = self._checked_chunk(tensordict).unbind(nest_of(tensordict, self.action_key).ndim)
-        memory = ChunkMemory(tensordict, len(steps), self.discount, self._sum_keys(), self.trace_keys)
+        chunk = self._checked_chunk(tensordict)
+        steps, window = chunk.unbind(nest_of(tensordict, self.action_key).ndim), 1 if is_readable(chunk) else _WINDOW
+        memory = ChunkMemory(tensordict, len(steps), self.discount, self._sum_keys(), self.trace_keys, window)
         memory.alive = self._allowed(tensordict)
         current, last, spare = self._all_but_last(tensordict, steps, memory)
         if current is not tensordict:
@@ -115,24 +121,18 @@ class MacroStepTransform(ActionTransform):
         state_keys = parent.state_keys
         for number, action in enumerate(steps[:-1], start=1):
             current.set(self.action_key, action)
-            alive = memory.alive
-            if alive is not None:
-                current.set("_step", whole_workers(parent, alive))
-            following = parent._step(current)
-            frozen = memory.freeze(following)
-            memory.add(following)
-            ended = self._ended(following)
-            if bool(ended.any()):
-                memory.alive = ~ended if alive is None else alive & ~ended
-                if not bool(memory.alive.any()):
-                    done = self._done(frozen)
-                    if self.interrupt_key is None or bool(done.all()):
-                        current = carried(current, following.copy(), state_keys)
-                        break
-                    # Some environment has to step: one whose episode is over, else those interrupted just now.
-                    memory.alive = ended if alive is None else ended & alive
-                    spare = done if bool(done.any()) else None
-                    return carried(current, following.copy(), state_keys), steps[number], spare
+            if memory.alive is not None:
+                current.set("_step", whole_workers(parent, memory.alive))
+            following = step_inside(parent, current)
+            memory.advance(following, self._ended(following))
+            if (number % memory.window == 0 or number == len(steps) - 1) and memory.none_goes_on():
+                assert memory.frozen is not None
+                done, current = self._done(memory.frozen), carried(current, following.copy(), state_keys)
+                if self.interrupt_key is None or bool(done.all()):
+                    break
+                # Some environment has to step: one whose episode is over, else those interrupted last.
+                back, memory.alive = memory.last_to_end()
+                return current, steps[number - back], done if bool(done.any()) else None
             current = carried(current, following if memory.alive is None else following.copy(), state_keys)
         return current, steps[-1], None
 

@@ -31,6 +31,7 @@ class MockArmEnv(EnvBase):
         dtype: of everything.
         reward_terms: whether rewards are split into terms.
         via_points: whether there are via-points.
+        device: of everything; on ``"meta"`` there are shapes and no values.
     """
 
     control_dt: float | None = 0.01
@@ -49,23 +50,24 @@ class MockArmEnv(EnvBase):
         dtype: torch.dtype = torch.float32,
         reward_terms: bool = True,
         via_points: bool = True,
+        device: str = "cpu",
     ) -> None:
-        super().__init__(device=torch.device("cpu"), batch_size=torch.Size(batch_size))
+        super().__init__(device=torch.device(device), batch_size=torch.Size(batch_size))
         self.via_points = via_points
         self.dtype, self.prefix, self.honours_step, self.reward_terms = dtype, prefix, honours_step, reward_terms
         self.action_name = action_key
         rows = self.batch_size.numel()
         ends = torch.tensor([horizons[i % len(horizons)] for i in range(rows)])
-        self.ends = ends.reshape(*self.batch_size, 1)
+        self.ends = ends.reshape(*self.batch_size, 1).to(device)
         self.action_shape = tuple(action_shape)
         example = self._observe(self._zeros(1), self._zeros(1), self._zeros(1), self._zeros(*self.action_shape))
         self.observation_spec = self._spec(example)
         self.action_spec = self._spec(TensorDict({action_key: self._zeros(*self.action_shape)}, self.batch_size))
-        self.reward_spec = Unbounded(shape=(*self.batch_size, 1), dtype=dtype)
+        self.reward_spec = Unbounded(shape=(*self.batch_size, 1), dtype=dtype, device=device)
         self.set_seed(0)
 
     def _zeros(self, *shape: int) -> Tensor:
-        return torch.zeros(*self.batch_size, *shape, dtype=self.dtype)
+        return torch.zeros(*self.batch_size, *shape, dtype=self.dtype, device=self.device)
 
     def _spec(self, example: TensorDictBase) -> Composite:
         leaves = {}
@@ -73,17 +75,17 @@ class MockArmEnv(EnvBase):
             if isinstance(value, TensorDictBase):
                 leaves[key] = self._spec(value)
             elif value.dtype is torch.bool:
-                leaves[key] = Binary(shape=value.shape, dtype=torch.bool)
+                leaves[key] = Binary(shape=value.shape, dtype=torch.bool, device=self.device)
             else:
-                leaves[key] = Unbounded(shape=value.shape, dtype=value.dtype)
-        return Composite(leaves, shape=example.batch_size, device="cpu")
+                leaves[key] = Unbounded(shape=value.shape, dtype=value.dtype, device=self.device)
+        return Composite(leaves, shape=example.batch_size, device=self.device)
 
     def _named(self, name: str) -> NestedKey:
         return (*self.prefix, name) if self.prefix else name
 
     def _observe(self, count: Tensor, offset: Tensor, push: Tensor, executed: Tensor) -> TensorDict:
         def wave(size: int, gain: float = 1.0) -> Tensor:
-            index = torch.arange(1, size + 1, dtype=self.dtype)
+            index = torch.arange(1, size + 1, dtype=self.dtype, device=self.device)
             return gain * (torch.sin(0.7 * index * count + 6.0 * offset + index) + push)
 
         yaw = wave(1, 0.1)
@@ -94,7 +96,7 @@ class MockArmEnv(EnvBase):
                 "offset": offset,
                 "push": push,
                 "executed": executed,
-                "joint_position": torch.tensor(PANDA.home, dtype=self.dtype) + wave(7, 0.1),
+                "joint_position": torch.tensor(PANDA.home, dtype=self.dtype, device=self.device) + wave(7, 0.1),
                 "joint_velocity": wave(7),
                 self._named("pose"): pose,
                 self._named("twist"): wave(6),
@@ -104,11 +106,12 @@ class MockArmEnv(EnvBase):
             self.batch_size,
         )
         if self.via_points:
-            phase, cov = torch.tensor((0.25, 1.0), dtype=self.dtype), 1e-4 * torch.eye(3, dtype=self.dtype)
+            like = {"dtype": self.dtype, "device": self.device}
+            phase, cov = torch.tensor((0.25, 1.0), **like), 1e-4 * torch.eye(3, **like)
             td[self._named("via_phase")] = phase.expand(*self.batch_size, 2).clone()
             td[self._named("via_position")] = wave(6, 0.1).unflatten(-1, (2, 3))
             td[self._named("via_cov")] = cov.expand(*self.batch_size, 2, 3, 3).clone()
-            td[self._named("via_mask")] = torch.ones(*self.batch_size, 2, dtype=torch.bool)
+            td[self._named("via_mask")] = torch.ones(*self.batch_size, 2, dtype=torch.bool, device=self.device)
         if self.prefix:
             td["twist"] = wave(6)
         if self.reward_terms:
@@ -119,7 +122,7 @@ class MockArmEnv(EnvBase):
         return TensorDict({"near": (count + 1.0).cos(), "far": push.clone()}, self.batch_size)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
-        offset = torch.rand(*self.batch_size, 1, generator=self._generator).to(self.dtype)
+        offset = torch.rand(*self.batch_size, 1, generator=self._generator).to(self.device, self.dtype)
         td = self._observe(self._zeros(1), offset, self._zeros(1), self._zeros(*self.action_shape))
         return td.update({"done": self._zeros(1).bool(), "terminated": self._zeros(1).bool()})
 
