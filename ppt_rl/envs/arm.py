@@ -4,29 +4,29 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 from torchrl.data import Bounded
 
 from ppt_rl.arms import PANDA, Arm
 from ppt_rl.envs.audit import AUDITED
-from ppt_rl.envs.batch import BatchedEnv, Rows
+from ppt_rl.envs.batch import BatchedEnv
 from ppt_rl.envs.models import PADDLE, Tool, table_scene
-from ppt_rl.envs.physics import EngineConfig
+from ppt_rl.envs.physics import EngineConfig, EngineName
 from ppt_rl.envs.readings import ArmReadings
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.functional.argument_checks import require_instance, require_whole
-from ppt_rl.functional.checks import require_finite
+from ppt_rl.functional.checks import is_readable, require_finite
 from ppt_rl.modules.kinematics import Kinematics
 
-__all__ = ["ArmEnv", "Rows"]
+__all__ = ["ArmEnv"]
 
 
 class ArmEnv(BatchedEnv):
     """Arms over an empty table: free motion, no task. Tasks are subclasses.
 
-    All environments step together (``batch_locked``) on a native thread pool. Gravity is compensated, as a real arm's
+    All environments step together (``batch_locked``), on CPU threads or, with ``device="cuda"``, in one simulation on
+    the GPU (:class:`~ppt_rl.envs.physics.EngineConfig`). Gravity is compensated, as a real arm's
     controller does. Readings are those of the last physics substep, half a millisecond old, as on hardware.
 
     Action: ``action`` ``(num_envs, n)``, the torques of the arm's n joints [N m], clipped to its limits.
@@ -52,10 +52,12 @@ class ArmEnv(BatchedEnv):
         seed: seed of the randomisation; None draws one from torch's generator, as torchrl's environments do.
         dtype: precision of what the environment returns.
         device: device of what the environment returns.
-        engine: options of the physics; None takes the defaults; later ``env.engine_config``.
+        engine: options of the physics, or the name of an engine, ``"threads"`` or ``"warp"``; None takes the defaults;
+            later ``env.engine_config``.
 
     Raises:
         ValueError: if a number is out of range or ``control_dt`` is no multiple of the physics' time step.
+        ImportError: if the engine is not installed.
 
     Examples:
         >>> from ppt_rl.arms import UR5E
@@ -78,19 +80,18 @@ class ArmEnv(BatchedEnv):
         seed: int | None = None,
         dtype: torch.dtype = torch.float32,
         device: torch.device | str = "cpu",
-        engine: EngineConfig | None = None,
+        engine: EngineConfig | EngineName | None = None,
     ) -> None:
         require_instance("arm", arm, Arm)
         if seed is not None:
             require_whole("seed", seed, 0)
-        engine = EngineConfig() if engine is None else engine
         super().__init__(num_envs, duration=duration, control_dt=control_dt, dtype=dtype, device=device, engine=engine)
         self.arm = arm
         model = self._start_engine()
-        self._kinematics = Kinematics(arm, self.tool_length, dtype=torch.float64)
-        self._readings = ArmReadings(model, dtype)
+        self._kinematics = Kinematics(arm, self.tool_length, dtype=torch.float64).to(self.place)
+        self._readings = ArmReadings(model, dtype, self.place)
         self._prepare(model)
-        self._torque_limit = torch.tensor(arm.joints.torque_limits, dtype=torch.float64)
+        self._torque_limit = torch.tensor(arm.joints.torque_limits, dtype=torch.float64, device=self.place)
         self._make_specs()
         self.set_seed(seed)
 
@@ -117,13 +118,16 @@ class ArmEnv(BatchedEnv):
         self.reward_spec = real(1)
         self.done_spec = make.nest(done=flag(), terminated=flag(), truncated=flag())
 
-    def _begin(self, rows: Rows) -> np.ndarray:
-        start = torch.tensor(self.start_pose, dtype=torch.float64).expand(len(rows), 7)
-        return self._arm_position(start).numpy()
+    def _begin(self, rows: Tensor) -> Tensor:
+        return self._arm_position(self._start_poses(rows))
+
+    def _start_poses(self, rows: Tensor) -> Tensor:
+        """``(R, 7)`` copies of the pose at the start."""
+        return torch.tensor(self.start_pose, dtype=torch.float64, device=self.place).repeat(len(rows), 1)
 
     def _arm_position(self, pose: Tensor) -> Tensor:
         """``(R, n)`` joint positions of the arm at ``(R, 7)`` poses."""
-        guess = torch.tensor(self.arm.home, dtype=pose.dtype).expand(len(pose), -1)
+        guess = pose.new_tensor(self.arm.home).expand(len(pose), -1)
         return self._kinematics.inverse(pose, guess)
 
     def _checked_action(self, action: Tensor, mask: Tensor | None) -> Tensor:
@@ -132,8 +136,9 @@ class ArmEnv(BatchedEnv):
                 f"action has shape {tuple(action.shape)}; expected ({self.num_envs}, {self.arm.num_joints}): the joint "
                 "torques [N m] of each environment. Put JointTorqueTransform on the environment to act with a wrench."
             )
-        torque = action.detach().to("cpu", torch.float64)
-        require_finite("action (joint torque)", torque if mask is None else torque[mask])
+        torque = action.detach().to(self.place, torch.float64)
+        if is_readable(torque):  # elsewhere nothing may wait for an answer, and such an environment diverges
+            require_finite("action (joint torque)", torque if mask is None else torque[mask])
         return torque.clamp(-self._torque_limit, self._torque_limit)
 
     def _observation(self) -> dict[str, Any]:

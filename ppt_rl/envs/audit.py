@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from ppt_rl.envs.physics import PhysicsEngine, PhysicsStep
-from ppt_rl.envs.physics.base import Array
 from ppt_rl.envs.readings import ArmReadings
 from ppt_rl.functional.impedance import power
 
@@ -38,8 +35,8 @@ class AuditedPhysics:
     def __init__(self, engine: PhysicsEngine, model: Any) -> None:
         self._engine = engine
         self._dt = float(model.opt.timestep)
-        self._readings = ArmReadings(model, torch.float64)
-        self.totals = np.zeros((engine.num_envs, len(AUDITED)))
+        self._readings = ArmReadings(model, torch.float64, engine.device)
+        self.totals = torch.zeros(engine.num_envs, len(AUDITED), dtype=torch.float64, device=engine.device)
 
     def __getattr__(self, name: str) -> Any:
         """Everything else comes from the wrapped engine."""
@@ -47,32 +44,28 @@ class AuditedPhysics:
             raise AttributeError(name)
         return getattr(self._engine, name)
 
-    def reset(self, rows: NDArray[np.int64], joint_position: Array) -> Array:
+    def reset(self, rows: Tensor, position: Tensor) -> Tensor:
         """See :meth:`PhysicsEngine.reset`; the totals of ``rows`` start again at zero."""
         self.totals[rows] = 0.0
-        return self._engine.reset(rows, joint_position)
+        return self._engine.reset(rows, position)
 
-    def step(self, control: Array, rows: NDArray[np.int64] | None = None) -> PhysicsStep:
+    def step(self, control: Tensor, mask: Tensor | None = None) -> PhysicsStep:
         """See :meth:`PhysicsEngine.step`; an environment that diverged adds nothing to its totals."""
-        result = self._engine.step(control, rows)
-        commanded, measured = (values.abs().numpy() for values in self._powers(result.sensors, control))  # (R, K)
-        spent = np.stack(
-            [commanded.sum(-1) * self._dt, commanded.max(-1), measured.sum(-1) * self._dt, measured.max(-1)], -1
-        )
-        spent[result.diverged] = 0.0
-        index = slice(None) if rows is None else rows
-        totals = self.totals[index]
-        totals[:, ::2] += spent[:, ::2]  # work adds up
-        totals[:, 1::2] = np.maximum(totals[:, 1::2], spent[:, 1::2])  # power keeps its maximum
-        self.totals[index] = totals
+        result = self._engine.step(control, mask)
+        commanded, measured = (values.abs() for values in self._powers(result.sensors, control))  # (B, K)
+        counts = ~result.diverged if mask is None else mask & ~result.diverged
+        work = torch.stack([commanded.sum(-1), measured.sum(-1)], -1) * self._dt
+        peak = torch.stack([commanded.amax(-1), measured.amax(-1)], -1)
+        before = self.totals.unflatten(-1, (2, 2))
+        after = torch.stack([before[..., 0] + work, torch.maximum(before[..., 1], peak)], -1)
+        self.totals = torch.where(counts.unsqueeze(-1), after.flatten(1), self.totals)
         return result
 
-    def _powers(self, sensors: Array, control: Array) -> tuple[Tensor, Tensor]:
-        """Commanded and measured power ``(R, K)`` at the beginning of each substep [W]."""
+    def _powers(self, sensors: Tensor, control: Tensor) -> tuple[Tensor, Tensor]:
+        """Commanded and measured power ``(B, K)`` at the beginning of each substep [W]."""
         count, substeps = sensors.shape[:2]
-        flat = torch.from_numpy(sensors).reshape(count * substeps, -1)
-        read = self._readings.observe(flat)
-        torque = torch.from_numpy(np.asarray(control)).repeat_interleave(substeps, 0)
+        read = self._readings.observe(sensors.reshape(count * substeps, -1).double())
+        torque = control.double().repeat_interleave(substeps, 0)
         commanded = power(torque, read["joint_velocity"])
         measured = power(read["wrench"], read["twist"])
         return commanded.reshape(count, substeps), measured.reshape(count, substeps)
@@ -86,5 +79,5 @@ class AuditedPhysics:
         Returns:
             A tensor ``(num_envs, 1)`` for each name in :data:`AUDITED`: work [J] or largest power [W].
         """
-        totals = torch.from_numpy(self.totals).to(dtype, copy=True)
+        totals = self.totals.to(dtype, copy=True)
         return dict(zip(AUDITED, totals.split(1, -1), strict=True))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
@@ -17,19 +16,16 @@ from ppt_rl.envs.lifetime import Lifetime
 from ppt_rl.envs.limits import require_count, require_device, require_real, require_within
 from ppt_rl.envs.models import remove_visual_geoms
 from ppt_rl.envs.mujoco_imports import mjcf
-from ppt_rl.envs.physics import EngineConfig, ThreadedPhysics, substeps_per_control_step
+from ppt_rl.envs.physics import EngineConfig, EngineName, Parameter, make_engine, substeps_per_control_step, write_model
 from ppt_rl.envs.rendering import RenderedScenes
 from ppt_rl.envs.row_generators import RowGenerators
 from ppt_rl.envs.specs import SpecMaker
-from ppt_rl.functional.argument_checks import require_instance
-from ppt_rl.functional.checks import require_positive
+from ppt_rl.functional.checks import none_true, require_positive
 
-__all__ = ["BatchedEnv", "Rows"]
+__all__ = ["BatchedEnv"]
 
 #: Most environments of a batch: each has a model of its own, of about 100 kB.
 _MOST_ENVS = 16_384
-#: Indices of environments, ``(R,)``.
-Rows = NDArray[np.int64]
 
 
 class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
@@ -49,11 +45,12 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         control_dt: time between actions [s].
         dtype: precision of what the environment returns.
         device: device of what the environment returns.
-        engine: options of the physics.
+        engine: options of the physics, or the name of an engine.
 
     Raises:
         ValueError: if a number is out of range, an argument is of another type, or ``control_dt`` is no multiple of the
             physics' time step.
+        ImportError: if the engine is not installed.
     """
 
     #: Whether the horizon is the end of the task (``terminated``, so that nothing is bootstrapped beyond it) or only
@@ -63,6 +60,10 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
     first_row = 0
     #: Random stream: environments of different streams draw different numbers from the same seed.
     _stream = 0
+    #: Fields of the model that an episode writes, see :meth:`_episode_parameters`.
+    _written: tuple[str, ...] = ()
+    #: Whether something follows the readings of every substep, and not only those of the last one.
+    _every_substep = False
 
     def __init__(
         self,
@@ -72,10 +73,10 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         control_dt: float,
         dtype: torch.dtype,
         device: torch.device | str,
-        engine: EngineConfig,
+        engine: EngineConfig | EngineName | None,
     ) -> None:
         num_envs = require_count("num_envs", num_envs, _MOST_ENVS)
-        require_instance("engine", engine, EngineConfig)
+        engine = EngineConfig.of(engine)
         super().__init__(device=require_device("device", device), batch_size=torch.Size([num_envs]))
         self.num_envs = num_envs
         self.dtype = require_real("dtype", dtype)
@@ -92,12 +93,18 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         root = self._scene()
         remove_visual_geoms(root)
         model = mjcf.Physics.from_mjcf_model(root).model.ptr
-        physics = ThreadedPhysics(model, self.num_envs, self.substeps, self.engine_config.num_threads)
-        self.engine: Any = AuditedPhysics(physics, model) if self.engine_config.audit else physics
-        self._sensors = torch.zeros(self.num_envs, model.nsensordata, dtype=self.dtype)
-        self._elapsed = torch.zeros(self.num_envs, 1, dtype=torch.int64)
-        self._diverged = torch.zeros(self.num_envs, 1, dtype=torch.bool)
-        self._open()
+        audit = self.engine_config.audit
+        physics = make_engine(
+            self.engine_config, model, self.num_envs, self.substeps, self.device, written=self._written,
+            every_substep=audit or self._every_substep,
+        )  # fmt: skip
+        self.engine: Any = AuditedPhysics(physics, model) if audit else physics
+        #: Where the environment computes: the device of its engine.
+        self.place = self.engine.device
+        self._sensors = torch.zeros(self.num_envs, model.nsensordata, dtype=self.dtype, device=self.place)
+        self._elapsed = torch.zeros(self.num_envs, 1, dtype=torch.int64, device=self.place)
+        self._diverged = torch.zeros(self.num_envs, 1, dtype=torch.bool, device=self.place)
+        self._open(self.place)
         return model
 
     # -- hooks, in the order of time ----------------------------------------------------------------------------------
@@ -113,7 +120,7 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
     def _prepare(self, model: Any) -> None:
         """Look up in the compiled model what the task needs of it."""
 
-    def _begin(self, rows: Rows) -> np.ndarray:
+    def _begin(self, rows: Tensor) -> Tensor:
         """Draw an episode for ``rows``, write its parameters into their models and return ``(R, nq)`` positions."""
         raise NotImplementedError
 
@@ -126,35 +133,42 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         return {}
 
     def _checked_action(self, action: Tensor, mask: Tensor | None) -> Tensor:
-        """The action as the engine takes it, float64 on the CPU; only the environments in ``mask`` must be valid."""
+        """The action as the engine takes it, where it computes; only the environments in ``mask`` must be valid."""
         raise NotImplementedError
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         """Observations of the task and ``reward`` after a control step; ``ended`` marks episodes at their horizon."""
-        return {"reward": torch.zeros(self.num_envs, 1, dtype=self.dtype)}
+        return {"reward": torch.zeros(self.num_envs, 1, dtype=self.dtype, device=self.place)}
 
     def _task_over(self) -> Tensor | None:
         """``(num_envs, 1)`` True where the task is over before its horizon; None where it never is."""
         return None
 
+    def _episode_parameters(self) -> Sequence[Parameter]:
+        """What the episodes write into the models; every field is among ``_written``."""
+        return ()
+
     def _write_parameters(self, model: Any, row: int) -> None:
-        """Write the episode's parameters of environment ``row`` into a model (of the physics or of the renderer)."""
+        """Write the episode's parameters of environment ``row`` into the model of the renderer."""
+        write_model(model, self._episode_parameters(), row)
 
     # -- EnvBase ------------------------------------------------------------------------------------------------------
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         self._require_open()
         mask = None if tensordict is None else tensordict.get("_reset", None)
-        every = torch.ones(self.num_envs, dtype=torch.bool)
-        mask = every if mask is None else mask.reshape(self.num_envs).cpu()
-        rows = mask.nonzero().squeeze(-1)
+        if mask is None:
+            rows = torch.arange(self.num_envs, device=self.place)
+        else:
+            mask = mask.reshape(self.num_envs).to(self.place)
+            rows = mask.nonzero().squeeze(-1)
         if len(rows):
-            index = rows.numpy()
-            position = self._begin(index)
-            self._put_sensors(rows, torch.from_numpy(self.engine.reset(index, position)).to(self.dtype))
+            position = self._begin(rows)
+            self._sensors = self._sensors.clone()  # observations are views, so that of earlier ones is left as it is
+            self._sensors[rows] = self.engine.reset(rows, position).to(self.dtype)
             self._elapsed[rows] = 0
-            self._mark_begun(mask)
             self._diverged[rows] = False
+            self._mark_begun(mask)
         observation = self._observation()
         observation |= self._task_reset(rows)
         return self._pack(observation | self._done(self._elapsed >= self.horizon))
@@ -162,18 +176,10 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._require_open()
         mask = tensordict.get("_step", None)
-        mask = None if mask is None else mask.reshape(self.num_envs).cpu()
+        mask = None if mask is None else mask.reshape(self.num_envs).to(self.place)
         self._require_begun(mask)
-        action = self._checked_action(tensordict.get("action"), mask)
-        if mask is None:
-            step = self.engine.step(action.numpy())
-            good = ~torch.from_numpy(step.diverged)
-            moved = torch.from_numpy(step.sensors[:, -1]).to(self.dtype, copy=True)  # the engine reuses its buffer
-            self._sensors = moved if bool(good.all()) else torch.where(good.unsqueeze(-1), moved, self._sensors)
-            self._diverged = ~good.unsqueeze(-1)
-            self._elapsed += 1
-        else:
-            self._masked_step(action, mask)
+        step = self.engine.step(self._checked_action(tensordict.get("action"), mask), mask)
+        self._take(step.sensors[:, -1], step.diverged, mask)
         observation = self._observation()
         ended = self._elapsed >= self.horizon
         observation |= self._task_step(observation, ended)
@@ -181,21 +187,19 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
             self._silence(observation, mask)
         return self._pack(observation | self._done(ended))
 
-    def _masked_step(self, action: Tensor, mask: Tensor) -> None:
-        rows = mask.nonzero().squeeze(-1)
-        if not len(rows):
-            return
-        step = self.engine.step(action[rows].numpy(), rows.numpy())
-        good = ~torch.from_numpy(step.diverged)
-        moved = torch.from_numpy(step.sensors[:, -1]).to(self.dtype)
-        self._put_sensors(rows, torch.where(good.unsqueeze(-1), moved, self._sensors[rows]))
-        self._diverged[rows] = ~good.unsqueeze(-1)
-        self._elapsed[rows] += 1
-
-    def _put_sensors(self, rows: Tensor, sensors: Tensor) -> None:
-        """Replace the readings of ``rows``. Observations are views, so the tensor of earlier ones is left as it is."""
-        self._sensors = self._sensors.clone()
-        self._sensors[rows] = sensors
+    def _take(self, sensors: Tensor, diverged: Tensor, mask: Tensor | None) -> None:
+        """Take over the readings of a step; what diverged or did not step keeps its own."""
+        moved = sensors.to(self.dtype, copy=True)  # the engine reuses its buffer
+        if mask is None:
+            self._diverged = diverged.unsqueeze(-1)
+            self._elapsed += 1
+            kept = self._diverged
+        else:
+            column = mask.unsqueeze(-1)
+            self._diverged = torch.where(column, diverged.unsqueeze(-1), self._diverged)
+            self._elapsed += column
+            kept = self._diverged | ~column
+        self._sensors = moved if none_true(kept) else torch.where(kept, self._sensors, moved)
 
     @staticmethod
     def _silence(observation: dict[str, Any], mask: Tensor) -> None:
@@ -216,11 +220,13 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         return {"done": done, "terminated": terminated, "truncated": done & ~terminated}
 
     def _pack(self, observation: dict[str, Any]) -> TensorDict:
-        if self.device.type != "cpu":
+        if self.device != self.place:
             return TensorDict(observation, batch_size=self.batch_size).to(self.device)
         return TensorDict(observation, batch_size=self.batch_size, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is None:  # as torchrl's environments do, so that torch.manual_seed governs it
             seed = int(torch.empty((), dtype=torch.int64).random_())
-        self._generators = RowGenerators(seed, self.num_envs, stream=self._stream, first_row=self.first_row)
+        self._generators = RowGenerators(
+            seed, self.num_envs, stream=self._stream, first_row=self.first_row, device=self.place
+        )

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ppt_rl.envs.physics import PhysicsEngine, PhysicsStep
-from ppt_rl.envs.physics.base import Array
 from ppt_rl.envs.readings import sensor_span
 
 __all__ = ["CONTACT", "CONTACT_FORCE", "PRESSING_TIME", "STATIC_TIME", "ContactAudit"]
 
+Array = NDArray[np.float64]
 #: Force from which on there is contact [N].
 CONTACT_FORCE = 0.5
 #: Time after first contact in which the pressing force is looked for, and last part of an episode over which the static
@@ -62,19 +63,20 @@ class ContactAudit:
             raise AttributeError(name)
         return getattr(self._engine, name)
 
-    def reset(self, rows: NDArray[np.int64], joint_position: Array) -> Array:
+    def reset(self, rows: Tensor, position: Tensor) -> Tensor:
         """See :meth:`PhysicsEngine.reset`; the measurements of ``rows`` start again."""
-        sensors = self._engine.reset(rows, joint_position)
-        self._substep[rows], self._sum[rows] = 0, 0.0
-        self._tare[rows] = sensors[:, self._spans]
-        self.measured[rows] = (0.0, 0.0, 0.0, np.nan, 0.0)
+        sensors, index = self._engine.reset(rows, position), rows.numpy()
+        self._substep[index], self._sum[index] = 0, 0.0
+        self._tare[index] = sensors.numpy()[:, self._spans]
+        self.measured[index] = (0.0, 0.0, 0.0, np.nan, 0.0)
         return sensors
 
-    def step(self, control: Array, rows: NDArray[np.int64] | None = None) -> PhysicsStep:
+    def step(self, control: Tensor, mask: Tensor | None = None) -> PhysicsStep:
         """See :meth:`PhysicsEngine.step`; an environment that diverged is not measured."""
-        result = self._engine.step(control, rows)
-        index = (np.arange(self._engine.num_envs) if rows is None else rows)[~result.diverged]
-        readings = result.sensors[~result.diverged]  # (R, K, S)
+        result = self._engine.step(control, mask)
+        measured = ~result.diverged if mask is None else mask & ~result.diverged
+        index = measured.nonzero().squeeze(-1).numpy()
+        readings = result.sensors.numpy()[index]  # (R, K, S)
         force = np.linalg.norm(readings[:, :, self._spans] - self._tare[index, None], axis=-1)  # (R, K, P)
         substep = self._substep[index, None] + np.arange(force.shape[1])  # (R, K)
         self._substep[index] += force.shape[1]

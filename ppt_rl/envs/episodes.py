@@ -16,10 +16,11 @@ class Episodes:
     Args:
         num_envs: number of environments.
         dtype: precision of the tensors.
+        device: where they are.
     """
 
-    def __init__(self, num_envs: int, dtype: torch.dtype) -> None:
-        self.num_envs, self.dtype = num_envs, dtype
+    def __init__(self, num_envs: int, dtype: torch.dtype, device: torch.device | None = None) -> None:
+        self.num_envs, self.dtype, self.device = num_envs, dtype, device
         self._allocate()
 
     def _allocate(self) -> None:
@@ -34,7 +35,7 @@ class Episodes:
         Returns:
             ``(num_envs, *shape)`` zeros.
         """
-        return torch.zeros(self.num_envs, *shape, dtype=self.dtype)
+        return torch.zeros(self.num_envs, *shape, dtype=self.dtype, device=self.device)
 
     def replace(self, rows: Tensor, **values: Any) -> None:
         """Replace tensors by copies that differ in some rows, so that earlier observations of them do not change.
@@ -45,5 +46,5 @@ class Episodes:
         """
         for name, value in values.items():
             tensor = getattr(self, name).clone()
-            tensor[rows] = torch.as_tensor(value, dtype=tensor.dtype)
+            tensor[rows] = torch.as_tensor(value, dtype=tensor.dtype, device=tensor.device)
             setattr(self, name, tensor)

@@ -23,9 +23,10 @@ class Lifetime(EnvBase):
     engine: Any
     _free_renderer: Callable[[], None]
 
-    def _open(self) -> None:
+    def _open(self, device: torch.device) -> None:
         """Call this once the engine runs."""
-        self._begun = torch.zeros(self.num_envs, dtype=torch.bool)  # whether it was ever reset
+        self._begun = torch.zeros(self.num_envs, dtype=torch.bool, device=device)  # whether it was ever reset
+        self._all_begun = False
         self.is_closed = False
 
     def close(self, *, raise_if_closed: bool = True) -> None:
@@ -55,10 +56,15 @@ class Lifetime(EnvBase):
                 "new environment, and close it after its last use only (a collector closes its own at shutdown)."
             )
 
-    def _mark_begun(self, mask: Tensor) -> None:
-        self._begun |= mask
+    def _mark_begun(self, mask: Tensor | None) -> None:
+        if self._all_begun:
+            return
+        self._begun |= True if mask is None else mask
+        self._all_begun = mask is None or bool(self._begun.all())
 
     def _require_begun(self, mask: Tensor | None) -> None:
+        if self._all_begun:
+            return
         waiting = ~self._begun if mask is None else mask & ~self._begun
         if bool(waiting.any()):
             raise RuntimeError(

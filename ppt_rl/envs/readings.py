@@ -33,9 +33,10 @@ class ArmReadings:
     Args:
         model: compiled model with the sensors of ``arm_model`` and ``attach_tool``.
         dtype: precision of the observations.
+        device: where the readings are.
     """
 
-    def __init__(self, model: Any, dtype: torch.dtype) -> None:
+    def __init__(self, model: Any, dtype: torch.dtype, device: torch.device | None = None) -> None:
         self.slices = {
             "joint_position": sensor_span(model, "joint_position1", f"joint_position{model.nu}"),
             "joint_velocity": sensor_span(model, "joint_velocity1", f"joint_velocity{model.nu}"),
@@ -44,8 +45,10 @@ class ArmReadings:
         }
         self._force = sensor_span(model, "force", "torque")
         tool, point = model.body("tool"), model.site("end_effector").pos
-        self._weight = torch.tensor(float(tool.mass[0]) * model.opt.gravity, dtype=dtype)  # [N]
-        self._com = torch.tensor(tool.ipos - point, dtype=dtype)  # from the end-effector point, in tool axes [m]
+        self._weight = torch.tensor(float(tool.mass[0]) * model.opt.gravity, dtype=dtype, device=device)  # [N]
+        self._com = torch.tensor(
+            tool.ipos - point, dtype=dtype, device=device
+        )  # from the end-effector point, in tool axes [m]
 
     def observe(self, sensors: Tensor) -> dict[str, Tensor]:
         """Split readings into observations: the wrench is computed, the others are views of the readings.

@@ -32,18 +32,21 @@ def reward_spec(make: SpecMaker, names: Sequence[str] = REWARD_GROUPS) -> Compos
     return make.nest(**{name: make.real(1) for name in names})
 
 
-def zero_rewards(num_envs: int, dtype: torch.dtype, names: Sequence[str] = REWARD_GROUPS) -> dict[str, Tensor]:
+def zero_rewards(
+    num_envs: int, dtype: torch.dtype, names: Sequence[str] = REWARD_GROUPS, *, device: torch.device | None = None
+) -> dict[str, Tensor]:
     """The ``reward_terms`` of a reset, where nothing has been earned yet.
 
     Args:
         num_envs: number of environments.
         dtype: precision of the rewards.
         names: of the groups.
+        device: where they are.
 
     Returns:
         ``(num_envs, 1)`` zeros by group.
     """
-    return {name: torch.zeros(num_envs, 1, dtype=dtype) for name in names}
+    return {name: torch.zeros(num_envs, 1, dtype=dtype, device=device) for name in names}
 
 
 def total_reward(terms: Mapping[str, Tensor]) -> Tensor:

@@ -39,8 +39,8 @@ def from_joint_positions(start: Tensor) -> type[PandaEnv]:
     """A class of environments that start at given joint positions, ``(num_envs, 7)``."""
 
     class Env(PandaEnv):
-        def _begin(self, rows: np.ndarray) -> np.ndarray:
-            return start[torch.from_numpy(rows)].numpy()
+        def _begin(self, rows: Tensor) -> Tensor:
+            return start[rows]
 
     return Env
 

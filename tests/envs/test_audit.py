@@ -34,32 +34,31 @@ class ScriptedEngine:
     """
 
     def __init__(self, model, velocity, speed=None):
-        self.num_envs = len(velocity)
+        self.num_envs, self.device = len(velocity), torch.device("cpu")
         self.model, self.velocity = model, velocity
         self.speed = np.zeros_like(velocity) if speed is None else speed
         self.clock = np.zeros(self.num_envs, dtype=int)
         self.diverging = np.zeros(self.num_envs, dtype=bool)
 
-    def reset(self, rows, joint_position):
-        return np.zeros((len(rows), self.model.nsensordata))
+    def reset(self, rows, position):
+        return torch.zeros(len(rows), self.model.nsensordata, dtype=F64)
 
-    def step(self, control, rows=None):
-        rows = np.arange(self.num_envs) if rows is None else rows
-        now = self.clock[rows]
-        self.clock[rows] += 1
-        sensors = np.zeros((len(rows), self.velocity.shape[-1], self.model.nsensordata))
+    def step(self, control, mask=None):
+        now, rows = self.clock.copy(), np.arange(self.num_envs)
+        self.clock += 1 if mask is None else mask.numpy()
+        sensors = np.zeros((self.num_envs, self.velocity.shape[-1], self.model.nsensordata))
         sensors[..., sensor_span(self.model, "joint_velocity2", "joint_velocity2")] = self.velocity[rows, now, :, None]
         sensors[..., sensor_span(self.model, "linear_velocity", "linear_velocity").start + 1] = self.speed[rows, now]
         sensors[..., sensor_span(self.model, "force", "force").start + 1] = 1.0
         sensors[..., sensor_span(self.model, "orientation", "orientation").start] = 1.0
-        sensors[self.diverging[rows]] = np.nan
-        return PhysicsStep(sensors, self.diverging[rows])
+        sensors[self.diverging] = np.nan
+        return PhysicsStep(torch.from_numpy(sensors), torch.from_numpy(self.diverging.copy()))
 
 
 def torque(*values):
     """``(R, 7)`` torques: these on the second joint, and 5 N m on the first, which does not move."""
-    control = np.zeros((len(values), 7))
-    control[:, 0], control[:, 1] = 5.0, values
+    control = torch.zeros(len(values), 7, dtype=F64)
+    control[:, 0], control[:, 1] = 5.0, torch.tensor(values, dtype=F64)
     return control
 
 
@@ -130,7 +129,7 @@ def test_a_diverged_environment_adds_nothing_and_goes_on_afterwards(model):
 def test_a_reset_clears_the_totals_of_its_environments_only(model):
     audited = AuditedPhysics(ScriptedEngine(model, np.ones((4, 2, 10)), np.ones((4, 2, 10))), model)
     audited.step(torque(1.0, 2.0, 3.0, 4.0))
-    audited.reset(np.array([2, 0]), np.zeros((2, 7)))
+    audited.reset(torch.tensor([2, 0]), torch.zeros(2, 7))
     found = totals(audited)
     assert_close(found["commanded_power"], torch.tensor([0.0, 2.0, 0.0, 4.0], dtype=F64))
     assert_close(found["commanded_work"], torch.tensor([0.0, 2.0, 0.0, 4.0], dtype=F64) * 10 * H)
@@ -138,10 +137,10 @@ def test_a_reset_clears_the_totals_of_its_environments_only(model):
     assert_close(found["measured_power"], torch.tensor([0.0, 1.0, 0.0, 1.0], dtype=F64))
 
 
-def test_a_step_of_some_environments_in_any_order_adds_to_their_totals_only(model):
+def test_a_step_of_some_environments_adds_to_their_totals_only(model):
     audited = AuditedPhysics(ScriptedEngine(model, np.ones((4, 2, 10))), model)
     audited.step(torque(1.0, 1.0, 1.0, 1.0))
-    audited.step(torque(3.0, 2.0), np.array([3, 1]))
+    audited.step(torque(9.0, 2.0, 9.0, 3.0), torch.tensor([False, True, False, True]))
     found = totals(audited)
     assert_close(found["commanded_work"], torch.tensor([1.0, 3.0, 1.0, 4.0], dtype=F64) * 10 * H)
     assert_close(found["commanded_power"], torch.tensor([1.0, 2.0, 1.0, 3.0], dtype=F64))

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
 from ppt_rl.envs.contact_audit import CONTACT, ContactAudit
 from ppt_rl.envs.physics import PhysicsStep
@@ -28,32 +29,30 @@ class Playback:
     """An engine whose readings are prescribed: ``forces`` and ``speed`` ``(B, T)`` at every substep."""
 
     def __init__(self, forces, speed, diverged=None):
-        self.num_envs, self.now = len(forces), 0
+        self.num_envs, self.now, self.device = len(forces), 0, torch.device("cpu")
         self.readings = np.zeros((*forces.shape, 9))
         self.readings[..., 0] = speed
         self.readings[..., 3:6] = WEIGHT
         self.readings[..., 6:9] = WEIGHT + forces[..., None] * [0.6, 0.0, -0.8]
         self.diverged = np.zeros(len(forces), bool) if diverged is None else np.asarray(diverged)
 
-    def reset(self, rows, joint_position):
+    def reset(self, rows, position):
         self.now = 0
-        return np.broadcast_to(np.r_[0.0, 0.0, 0.0, WEIGHT, WEIGHT], (len(rows), 9))
+        return torch.from_numpy(np.tile(np.r_[0.0, 0.0, 0.0, WEIGHT, WEIGHT], (len(rows), 1)))
 
-    def step(self, control, rows=None):
+    def step(self, control, mask=None):
         chunk = self.readings[:, self.now : self.now + SUBSTEPS]
         self.now += SUBSTEPS
-        rows = np.arange(self.num_envs) if rows is None else rows
-        return PhysicsStep(chunk[rows], self.diverged[rows])
+        return PhysicsStep(torch.from_numpy(chunk), torch.from_numpy(self.diverged))
 
 
 def audited(forces, speed=0.3, **kwargs):
     """The measurements of both sensors after all substeps of ``forces`` ``(B, T)``."""
     engine = Playback(np.asarray(forces, float), speed, **kwargs)
     audit = ContactAudit(engine, Model(), ["first", "second"], horizon=forces.shape[1] * DT)
-    rows = np.arange(engine.num_envs)
-    audit.reset(rows, np.zeros((engine.num_envs, 1)))
+    audit.reset(torch.arange(engine.num_envs), torch.zeros(engine.num_envs, 1))
     for _ in range(forces.shape[1] // SUBSTEPS):
-        audit.step(np.zeros((engine.num_envs, 1)))
+        audit.step(torch.zeros(engine.num_envs, 1))
     return audit
 
 
@@ -92,9 +91,9 @@ def test_a_diverged_environment_is_not_measured():
 def test_only_environments_that_step_are_measured_and_a_reset_starts_again():
     engine = Playback(np.full((3, 400), 9.0), 0.1)
     audit = ContactAudit(engine, Model(), ["second"], horizon=0.2)
-    audit.reset(np.arange(3), np.zeros((3, 1)))
-    audit.step(np.zeros((2, 1)), np.asarray([0, 2]))
+    audit.reset(torch.arange(3), torch.zeros(3, 1))
+    audit.step(torch.zeros(3, 1), torch.tensor([True, False, True]))
     assert of(audit, "peak_force", 0).tolist() == pytest.approx([9.0, 0.0, 9.0])
-    audit.reset(np.asarray([0]), np.zeros((1, 1)))
+    audit.reset(torch.tensor([0]), torch.zeros(1, 1))
     assert of(audit, "peak_force", 0).tolist() == pytest.approx([0.0, 0.0, 9.0])
     assert np.isnan(of(audit, "contact_time", 0)[:2]).all()

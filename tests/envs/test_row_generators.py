@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import torch
 
@@ -59,13 +58,26 @@ def test_torchs_seed_governs_an_environment_without_one(make):
 
 def test_drawing_for_some_rows_leaves_the_generators_of_the_others():
     rows, again = RowGenerators(3, 4), RowGenerators(3, 4)
-    rows.uniform([0, 0, 2], 5)
-    assert np.array_equal(rows.uniform([1, 3], 2), again.uniform([1, 3], 2))
-    assert not np.array_equal(rows.uniform([0], 2), again.uniform([0], 2))
+    rows.uniform(torch.tensor([0, 0, 2]), 5)
+    some, first = torch.tensor([1, 3]), torch.tensor([0])
+    assert torch.equal(rows.uniform(some, 2), again.uniform(some, 2))
+    assert not torch.equal(rows.uniform(first, 2), again.uniform(first, 2))
+
+
+def test_numbers_drawn_ahead_are_those_drawn_one_by_one():
+    """As on a GPU, here on the CPU: rows begin episodes in any order, more of them than are drawn ahead."""
+    plain, ahead = RowGenerators(3, 5), RowGenerators(3, 5)
+    ahead.draws_ahead = True
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(70):
+        rows = (torch.rand(5, generator=generator) < 0.4).nonzero().squeeze(-1)
+        if len(rows):
+            assert torch.equal(plain.uniform(rows, 3), ahead.uniform(rows, 3))
 
 
 def test_streams_and_seeds_draw_different_numbers():
-    draws = {tuple(RowGenerators(seed, 1, stream=stream).uniform([0], 2)[0]) for seed in (0, 1) for stream in (0, 1)}
+    row, each = torch.tensor([0]), [(seed, stream) for seed in (0, 1) for stream in (0, 1)]
+    draws = {tuple(RowGenerators(seed, 1, stream=stream).uniform(row, 2)[0].tolist()) for seed, stream in each}
     assert len(draws) == 4
 
 

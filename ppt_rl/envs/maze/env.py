@@ -11,17 +11,18 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from ppt_rl.arms import PANDA, Arm
-from ppt_rl.envs.arm import ArmEnv, Rows
+from ppt_rl.envs.arm import ArmEnv
 from ppt_rl.envs.maze import rewards as reward
 from ppt_rl.envs.maze.episode import MazeEnd, MazeEpisodes, MazePosition
 from ppt_rl.envs.maze.geometry import build_corridor
 from ppt_rl.envs.maze.layout import MazeLayout
 from ppt_rl.envs.maze.rewards import MazeRewards
 from ppt_rl.envs.maze.sampling import MazeRanges, StraightRanges
-from ppt_rl.envs.maze.scene import maze_scene, write_corridor
+from ppt_rl.envs.maze.scene import PIECE_NAMES, maze_scene
 from ppt_rl.envs.maze.source import GivenMazes, RandomMazes, RandomStraights, Source
 from ppt_rl.envs.maze.start import MazeRandomisation, draw_start
 from ppt_rl.envs.models import CYLINDER
+from ppt_rl.envs.physics import Parameter
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.functional.argument_checks import require_instance, require_number, shown
@@ -75,6 +76,7 @@ class MazeEnv(ArmEnv):
     """
 
     tool = CYLINDER
+    _written = ("geom_pos", "geom_quat", "geom_size", "pair_friction")
 
     def __init__(
         self,
@@ -163,35 +165,40 @@ class MazeEnv(ArmEnv):
         return maze_scene(self.arm, self.tool, physics_dt=self.engine_config.physics_dt)
 
     def _prepare(self, model: Any) -> None:
-        self._episode = MazeEpisodes(self.num_envs, self.dtype)
+        self._episode = MazeEpisodes(self.num_envs, self.dtype, self.place)
         self.layouts: list[MazeLayout | None] = [None] * self.num_envs
 
-    def _begin(self, rows: Rows) -> np.ndarray:
+    def _begin(self, rows: Tensor) -> Tensor:
         positions, headings = [], []
-        for row in rows:
+        for row in rows.tolist():
             generator = self._generators[row]
             layout = self._source(generator)
             corridor = build_corridor(layout)
             self.layouts[row] = layout
-            self._episode.write(int(row), corridor, layout.friction)
-            self._write_parameters(self.engine.models[row], int(row))
+            self._episode.write(row, corridor, layout.friction)
             positions.append(draw_start(generator, self.randomisation, layout, corridor, self.tool.stem_radius))
             headings.append(layout.heading + generator.uniform(*self.randomisation.heading_error))
         self._episode.begin(rows, np.asarray(headings))
-        pose = torch.tensor(self.start_pose, dtype=torch.float64).repeat(len(rows), 1)
-        pose[:, :3] = torch.from_numpy(np.asarray(positions))
-        return self._arm_position(pose).numpy()
+        self.engine.write(rows, self._episode_parameters())
+        pose = self._start_poses(rows)
+        pose[:, :3] = torch.from_numpy(np.asarray(positions)).to(pose)
+        return self._arm_position(pose)
 
-    def _write_parameters(self, model: Any, row: int) -> None:
-        corridor = self._episode.corridors[row]
-        if corridor is not None:
-            write_corridor(model, corridor, float(self._episode.friction[row]))
+    def _episode_parameters(self) -> list[Parameter]:
+        position, orientation, size = self._episode.pieces.split((3, 4, 3), -1)
+        friction = self._episode.friction.unsqueeze(-1)  # the same of every pair, in both directions
+        return [
+            Parameter("geom_pos", PIECE_NAMES, position),
+            Parameter("geom_quat", PIECE_NAMES, orientation),
+            Parameter("geom_size", PIECE_NAMES, size),
+            Parameter("pair_friction", (), friction.expand(-1, len(PIECE_NAMES), 2)),
+        ]
 
     def _task_reset(self, rows: Tensor) -> dict[str, Any]:
         position = self._episode.locate(self._sensors[:, self._readings.slices["pose"]])
         self._episode.measure_from(rows, position)
         nothing = MazeEnd(*(torch.zeros_like(self._episode.over) for _ in MazeEnd._fields))
-        return self._task_observation(position, zero_rewards(self.num_envs, self.dtype), nothing)
+        return self._task_observation(position, zero_rewards(self.num_envs, self.dtype, device=self.place), nothing)
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         episode, pose = self._episode, observation["pose"]

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ppt_rl.envs.arm import Rows
 from ppt_rl.envs.episodes import Episodes
 from ppt_rl.envs.maze.geometry import WALL_HEIGHT, Corridor
+from ppt_rl.envs.maze.scene import PIECE_NAMES, boxes_of
 
 __all__ = ["MazeEnd", "MazeEpisodes", "MazePosition"]
 
@@ -75,8 +75,9 @@ class MazeEpisodes(Episodes):
         self.length = zeros(1) + 1
         self.start_heading = zeros(1)
         self.travelled, self.velocity = zeros(1), zeros(3)  # at the last control step
-        self.over = torch.zeros(num_envs, 1, dtype=torch.bool)
-        self.friction = np.zeros(num_envs)
+        self.over = torch.zeros(num_envs, 1, dtype=torch.bool, device=self.device)
+        self.friction = zeros(1).double()
+        self.pieces = zeros(len(PIECE_NAMES), 10).double()  # of the walls and floors, see boxes_of
         self.corridors: list[Corridor | None] = [None] * num_envs
 
     def write(self, row: int, corridor: Corridor, friction: float) -> None:
@@ -88,12 +89,13 @@ class MazeEpisodes(Episodes):
             friction: friction coefficient between the tool and walls or floor [-].
 
         Raises:
-            ValueError: if the centre line has too many corners.
+            ValueError: if the centre line has too many corners, or the maze too many pieces.
         """
         count = len(corridor.centre)
         if count > _CORNERS:
             raise ValueError(f"the maze's centre line has {count} corners; expected at most {_CORNERS}. Shorten it.")
         self.corridors[row], self.friction[row] = corridor, friction
+        self.pieces[row] = torch.from_numpy(boxes_of(corridor))
         centre = torch.from_numpy(corridor.centre).to(self.dtype)
         self.centre[row] = centre[-1]
         self.centre[row, :count] = centre
@@ -103,14 +105,14 @@ class MazeEpisodes(Episodes):
         self.at[row, 1:] = steps.cumsum(0)
         self.length[row] = self.at[row, -1]
 
-    def begin(self, rows: Rows, heading: np.ndarray) -> None:
+    def begin(self, rows: Tensor, heading: np.ndarray) -> None:
         """Begin episodes.
 
         Args:
             rows: indices of the environments.
             heading: ``(R,)`` heading that each robot is told [rad].
         """
-        self.replace(torch.from_numpy(rows), start_heading=heading[:, None], over=False)
+        self.replace(rows, start_heading=heading[:, None], over=False)
 
     def measure_from(self, rows: Tensor, position: MazePosition) -> None:
         """Measure the progress of some environments from where their tools are now, at rest.

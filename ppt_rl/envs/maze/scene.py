@@ -12,11 +12,15 @@ from ppt_rl.envs.maze.geometry import Array, Corridor, Face, Floor
 from ppt_rl.envs.models.arm import CYLINDER, Tool
 from ppt_rl.envs.models.table import table_scene
 
-__all__ = ["MAX_FACES", "MAX_FLOORS", "check_pieces", "maze_scene", "write_corridor"]
+__all__ = ["MAX_FACES", "MAX_FLOORS", "PIECE_NAMES", "boxes_of", "check_pieces", "maze_scene"]
 
 #: Number of wall and floor boxes in the compiled model, used or not. All mazes share one model and differ in numbers
 #: only, so a new maze needs no compilation.
 MAX_FACES, MAX_FLOORS = 48, 28
+#: Their names, in the order of the model.
+PIECE_NAMES = tuple(
+    f"{kind}{index}" for kind, count in (("wall", MAX_FACES), ("floor", MAX_FLOORS)) for index in range(count)
+)
 #: Thickness of the floor, and of the walls [m].
 _SLAB, _WALL = 0.01, 0.01
 #: MuJoCo's ``solimp`` of a contact: zero impedance at first touch, almost full impedance 2 mm deeper. With it a lightly
@@ -27,7 +31,7 @@ _UNUSED = ((0.0, 0.0, -5.0), (1.0, 0.0, 0.0, 0.0), (1e-3,) * 3)
 
 
 def maze_scene(arm: Arm, tool: Tool = CYLINDER, *, physics_dt: float = 0.0005) -> Any:
-    """MJCF of the maze scene with all boxes unused; :func:`write_corridor` places them.
+    """MJCF of the maze scene with all boxes unused; :func:`boxes_of` tells where they belong.
 
     Contacts are declared as pairs of the tool and a box: MuJoCo looks for no other ones, and each has its own friction.
 
@@ -70,33 +74,26 @@ def check_pieces(corridor: Corridor) -> None:
             raise ValueError(f"the maze has {len(pieces)} pieces of {kind}; expected at most {room}. Shorten it.")
 
 
-def write_corridor(model: Any, corridor: Corridor, friction: float) -> None:
-    """Write a maze into a compiled model of :func:`maze_scene`.
+def boxes_of(corridor: Corridor) -> Array:
+    """The boxes of a maze, in the order of :data:`PIECE_NAMES`.
 
     Args:
-        model: ``mujoco.MjModel``, changed in place.
         corridor: geometry of the maze.
-        friction: friction coefficient between the tool and walls or floor [-].
+
+    Returns:
+        ``(76, 10)``: position [m], orientation ``(w, x, y, z)`` and half sizes [m] of each box. Unused ones are tiny
+        and far below the table.
 
     Raises:
         ValueError: if the maze has more pieces than the model has boxes.
     """
     check_pieces(corridor)
-    pieces = {"wall": [_wall(face) for face in corridor.faces], "floor": [_slab(floor) for floor in corridor.floors]}
-    for kind, room in (("wall", MAX_FACES), ("floor", MAX_FLOORS)):
-        first = model.geom(f"{kind}0").id
-        for index in range(room):
-            used = index < len(pieces[kind])
-            _write_box(model, first + index, *(pieces[kind][index] if used else _UNUSED))
-    model.pair_friction[:, :2] = friction
-
-
-def _write_box(model: Any, geom: int, position: Any, orientation: Any, size: Any) -> None:
-    """Place a box, and update what the compiler derives from its size and pose for collision detection."""
-    model.geom_pos[geom], model.geom_quat[geom], model.geom_size[geom] = position, orientation, size
-    model.geom_rbound[geom] = np.linalg.norm(size)
-    model.geom_aabb[geom] = [0.0, 0.0, 0.0, *size]
-    model.geom_sameframe[geom] = 0
+    unused = np.concatenate(_UNUSED)
+    boxes = np.tile(unused, (len(PIECE_NAMES), 1))
+    for first, pieces in ((0, map(_wall, corridor.faces)), (MAX_FACES, map(_slab, corridor.floors))):
+        for index, piece in enumerate(pieces, start=first):
+            boxes[index] = np.concatenate(piece)
+    return boxes
 
 
 def _wall(face: Face) -> tuple[Array, tuple[float, ...], Array]:

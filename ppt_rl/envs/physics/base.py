@@ -3,62 +3,84 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
+
+from ppt_rl.envs.physics.parameters import Parameter
 
 __all__ = ["PhysicsEngine", "PhysicsStep", "substeps_per_control_step"]
 
 #: Most physics steps in a control step, of all of which the readings are kept.
 _MOST_SUBSTEPS = 2000
-Array = NDArray[np.float64]
 
 
 class PhysicsStep(NamedTuple):
-    """The result of one control step of R environments.
+    """The result of one control step of B environments. Rows of environments that did not step mean nothing.
 
     Attributes:
-        sensors: ``(R, substeps, S)`` readings, each taken at the beginning of its substep; valid until the next step.
-        diverged: ``(R,)`` True where the state blew up; such an environment keeps the state it had before the step.
+        sensors: ``(B, K, S)`` readings of the last K substeps, each taken at the beginning of its substep; valid until
+            the next step. K is the number of substeps, or 1 for an engine that keeps only the last readings.
+        diverged: ``(B,)`` True where the state blew up; such an environment keeps the state it had before the step.
     """
 
-    sensors: Array
-    diverged: NDArray[np.bool_]
+    sensors: Tensor
+    diverged: Tensor
 
 
 class PhysicsEngine(Protocol):
-    """Steps ``num_envs`` models that share their structure but not their parameters."""
+    """Steps ``num_envs`` worlds that share their structure but not their parameters.
+
+    Every tensor lives on ``device``. Positions, controls and readings are real numbers of any precision; an engine
+    computes in its own.
+    """
 
     num_envs: int
-    models: list[Any]
+    device: torch.device
 
-    def reset(self, rows: NDArray[np.int64], joint_position: Array) -> Array:
-        """Put environments at rest at given positions, after their models were changed.
+    def write(self, rows: Tensor, parameters: Sequence[Parameter]) -> None:
+        """Write parameters into the models of some environments; call :meth:`reset` for these rows afterwards.
 
         Args:
-            rows: ``(R,)`` environment indices.
-            joint_position: ``(R, nq)`` generalised positions (``qpos``).
+            rows: ``(R,)`` indices of the environments.
+            parameters: what to write; their values are those of all environments.
+        """
+        ...
+
+    def reset(self, rows: Tensor, position: Tensor) -> Tensor:
+        """Put environments at rest at given positions. What the models derive from their parameters is computed anew.
+
+        Args:
+            rows: ``(R,)`` indices of the environments.
+            position: ``(R, nq)`` generalised positions (``qpos``).
 
         Returns:
             ``(R, S)`` sensor readings in the new state.
         """
         ...
 
-    def step(self, control: Array, rows: NDArray[np.int64] | None = None) -> PhysicsStep:
+    def step(self, control: Tensor, mask: Tensor | None = None) -> PhysicsStep:
         """Advance by one control step, with the control held constant.
 
         Args:
-            control: ``(R, nu)`` inputs of the actuators.
-            rows: ``(R,)`` environment indices; None steps all.
+            control: ``(num_envs, nu)`` inputs of the actuators.
+            mask: ``(num_envs,)`` True for the environments that step; None steps all.
 
         Returns:
-            The sensor readings of all substeps, and which environments diverged.
+            The sensor readings, and which environments diverged.
         """
         ...
 
-    def state(self, row: int) -> Array:
+    def state(self, row: int) -> NDArray[np.float64]:
         """The full physics state of environment ``row`` (``mjSTATE_FULLPHYSICS``)."""
+        ...
+
+    def close(self) -> None:
+        """Free what the engine holds."""
         ...
 
 

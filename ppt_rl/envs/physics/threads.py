@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import copy
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import torch
 from mujoco import rollout
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ppt_rl.envs.mujoco_imports import mujoco
-from ppt_rl.envs.physics.base import Array, PhysicsStep
+from ppt_rl.envs.physics.base import PhysicsStep
+from ppt_rl.envs.physics.parameters import Parameter, write_models
 
 __all__ = ["ThreadedPhysics"]
 
+Array = NDArray[np.float64]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -30,6 +35,8 @@ class ThreadedPhysics:
         num_threads: threads of the pool; None takes one for each CPU that this process may use. The number never
             changes a result.
     """
+
+    device = torch.device("cpu")
 
     def __init__(self, model: Any, num_envs: int, substeps: int, num_threads: int | None = None) -> None:
         self.num_envs = num_envs
@@ -50,22 +57,37 @@ class ThreadedPhysics:
         self._sensors = np.zeros((*shape, model.nsensordata))
         self._control = np.zeros((*shape, model.nu))
 
-    def reset(self, rows: NDArray[np.int64], joint_position: Array) -> Array:
+    def write(self, rows: Tensor, parameters: Sequence[Parameter]) -> None:
+        """See :meth:`PhysicsEngine.write`."""
+        write_models([self.models[row] for row in rows.tolist()], parameters, rows.tolist())
+
+    def reset(self, rows: Tensor, position: Tensor) -> Tensor:
         """See :meth:`PhysicsEngine.reset`."""
         data = self._data[0]
         sensors = np.empty((len(rows), self._sensors.shape[-1]))
-        for k, row in enumerate(rows):
+        for k, (row, start) in enumerate(zip(rows.tolist(), position.numpy(), strict=True)):
             model = self.models[row]
             mujoco.mj_setConst(model, data)  # recompute the constants that follow from masses and sizes
             mujoco.mj_resetData(model, data)
-            data.qpos[:] = joint_position[k]
+            data.qpos[:] = start
             mujoco.mj_forward(model, data)
             mujoco.mj_getState(model, data, self._state[row], _STATE)
             sensors[k] = data.sensordata
-        return sensors
+        return torch.from_numpy(sensors)
 
-    def step(self, control: Array, rows: NDArray[np.int64] | None = None) -> PhysicsStep:
+    def step(self, control: Tensor, mask: Tensor | None = None) -> PhysicsStep:
         """See :meth:`PhysicsEngine.step`."""
+        if mask is None:
+            return PhysicsStep(torch.from_numpy(self._sensors), torch.from_numpy(self._roll(control.numpy())))
+        rows = mask.nonzero().squeeze(-1).numpy()
+        diverged = np.zeros(self.num_envs, dtype=bool)
+        if len(rows):
+            diverged[rows] = self._roll(control.numpy()[rows], rows)
+            self._sensors[rows] = self._sensors[: len(rows)].copy()
+        return PhysicsStep(torch.from_numpy(self._sensors), torch.from_numpy(diverged))
+
+    def _roll(self, control: Array, rows: NDArray[np.int64] | None = None) -> NDArray[np.bool_]:
+        """Advance the states of ``rows``, with their readings in the first rows of the buffer; which ones diverged."""
         count = self.num_envs if rows is None else len(rows)
         models = self.models if rows is None else [self.models[row] for row in rows]
         before = self._state if rows is None else self._state[rows]
@@ -84,7 +106,7 @@ class ThreadedPhysics:
             self._state[:] = after
         else:
             self._state[rows] = after
-        return PhysicsStep(sensors, diverged)
+        return diverged
 
     def state(self, row: int) -> Array:
         """See :meth:`PhysicsEngine.state`."""

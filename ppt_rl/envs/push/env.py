@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
-import numpy as np
 import torch
 from torch import Tensor
 from torchrl.data import Composite
 
-from ppt_rl.envs.arm import ArmEnv, Rows
+from ppt_rl.envs.arm import ArmEnv
 from ppt_rl.envs.limits import require_within
+from ppt_rl.envs.physics import Parameter
 from ppt_rl.envs.push import rewards as reward
 from ppt_rl.envs.push.box import Boxes
 from ppt_rl.envs.push.episode import PushDistances, PushEpisodes, PushRandomisation, check_start, draw_episodes
@@ -23,6 +23,7 @@ from ppt_rl.envs.readings import sensor_span
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.functional.argument_checks import require_instance, require_number, shown
+from ppt_rl.functional.checks import none_true
 
 __all__ = ["PushEnv", "PushGoal"]
 
@@ -122,33 +123,40 @@ class PushEnv(ArmEnv):
 
     def _prepare(self, model: Any) -> None:
         self._box_slice = sensor_span(model, "box_position", "box_orientation")
-        self._episode = PushEpisodes(self.num_envs, self.dtype)
+        self._episode = PushEpisodes(self.num_envs, self.dtype, self.place)
 
-    def _begin(self, rows: Rows) -> np.ndarray:
+    @property
+    def _written(self) -> tuple[str, ...]:  # type: ignore[override]
+        fields = ("geom_size", "geom_friction", "body_mass", "body_inertia")
+        return (*fields, "body_ipos") if self._moves_com else fields
+
+    def _begin(self, rows: Tensor) -> Tensor:
         drawn = draw_episodes(self._generators, rows, self.randomisation, self.boxes)
         self._episode.write(rows, drawn)
-        for row in rows:
-            self._write_parameters(self.engine.models[row], int(row))
-        pose = torch.tensor(self.start_pose, dtype=torch.float64).repeat(len(rows), 1)
-        pose[:, :2] = torch.from_numpy(drawn["tool"])
-        half_yaw = 0.5 * drawn["yaw"][:, None]
-        height, zeros = 0.5 * drawn["size"][:, None], np.zeros((len(rows), 2))
-        box = [drawn["box"], height, np.cos(half_yaw), zeros, np.sin(half_yaw)]  # position and quaternion
-        return np.concatenate([self._arm_position(pose).numpy(), *box], -1)
+        self.engine.write(rows, self._episode_parameters())
+        pose = self._start_poses(rows)
+        pose[:, :2] = drawn["tool"]
+        half_yaw, zeros = 0.5 * drawn["yaw"], torch.zeros_like(drawn["goal"])
+        box = [drawn["box"], 0.5 * drawn["size"], half_yaw.cos(), zeros, half_yaw.sin()]  # position and quaternion
+        return torch.cat([self._arm_position(pose), *box], -1)
+
+    def _episode_parameters(self) -> list[Parameter]:
+        physical, name = self._episode.physical, (PUSH_BOX,)
+        half, mass = physical["half"], physical["mass"]
+        inertia = mass * (2 * half).square() / 6
+        written = [
+            Parameter("geom_size", name, half.expand(-1, 3).unsqueeze(1)),
+            Parameter("geom_friction", name, physical["friction"].unsqueeze(1)),
+            Parameter("body_mass", name, mass),
+            Parameter("body_inertia", name, inertia.expand(-1, 3).unsqueeze(1)),
+        ]
+        return [*written, Parameter("body_ipos", name, physical["com"].unsqueeze(1))] if self._moves_com else written
 
     def _write_parameters(self, model: Any, row: int) -> None:
-        physical = self._episode.physical
-        half, mass, friction = (float(physical[key][row]) for key in ("half", "mass", "friction"))
-        geom, body = model.geom(PUSH_BOX), model.body(PUSH_BOX)
-        if self._moves_com:
-            body.ipos[:2] = physical["com"][row]
-        geom.size[:] = half
-        geom.friction[0] = friction
-        body.mass[:] = mass
-        body.inertia[:] = mass * (2 * half) ** 2 / 6
+        super()._write_parameters(model, row)
         mark, half_yaw = model.body("goal"), 0.5 * float(self._episode.goal_yaw[row])
-        mark.pos[:2] = self._episode.goal[row].numpy()
-        mark.quat[:] = np.cos(half_yaw), 0, 0, np.sin(half_yaw)
+        mark.pos[:2] = self._episode.goal[row].cpu().numpy()
+        mark.quat[:] = math.cos(half_yaw), 0, 0, math.sin(half_yaw)
 
     def _task_reset(self, rows: Tensor) -> dict[str, Any]:
         episode, box = self._episode, self._sensors[:, self._box_slice]
@@ -157,10 +165,12 @@ class PushEnv(ArmEnv):
         episode.begin(rows, distances)
         episode.replace(rows, via_position=self._via_points(tool)[rows])
         success = self._success(box, distances, self._elapsed >= self.horizon)
-        return self._task_observation(box, zero_rewards(self.num_envs, self.dtype), distances, success)
+        return self._task_observation(
+            box, zero_rewards(self.num_envs, self.dtype, device=self.place), distances, success
+        )
 
     def _success(self, box: Tensor, distances: PushDistances, ended: Tensor) -> Tensor:
-        if not bool(ended.any()):
+        if none_true(ended):
             return torch.zeros_like(ended)
         there = ended & (distances.box_to_goal < self.success_radius) & self._is_flat(box)
         return there & (distances.yaw_error < self.success_yaw) if self.goal == "pose" else there
@@ -187,7 +197,7 @@ class PushEnv(ArmEnv):
         )
         if self.goal == "pose":
             progress += reward.turn(weights, error=distances.yaw_error, previous=before.yaw_error)
-        if bool(ended.any()):
+        if not none_true(ended):
             progress += reward.arrival(
                 weights, distance=distances.box_to_goal, success=success, ended=ended, radius=self.success_radius
             )

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from ppt_rl.envs.arm import Rows
 from ppt_rl.envs.episodes import Episodes
 from ppt_rl.envs.limits import Bound, require_bounded_ranges
 from ppt_rl.envs.push.box import Boxes
@@ -92,19 +90,23 @@ class PushEpisodes(Episodes):
     """
 
     def _allocate(self) -> None:
-        num_envs, dtype, zeros = self.num_envs, self.dtype, self.zeros
-        self.physical = {name: np.zeros(num_envs) for name in ("half", "mass", "friction")}  # [m], [kg], [-]
-        self.physical["com"] = np.zeros((num_envs, 2))  # in box axes [m]
+        num_envs, dtype, device, zeros = self.num_envs, self.dtype, self.device, self.zeros
+        sizes = {"half": 1, "mass": 1, "friction": 1, "com": 2}  # [m], [kg], [-], in box axes [m]
+        self.physical = {
+            name: torch.zeros(num_envs, size, dtype=torch.float64, device=device) for name, size in sizes.items()
+        }
         self.half, self.box_start, self.goal, self.goal_yaw = zeros(1), zeros(2), zeros(2), zeros(1)
         self.previous = PushDistances(zeros(1), zeros(1), zeros(1))
         self.initial = PushDistances(zeros(1) + 1, zeros(1) + 1, zeros(1))
-        self.touched = torch.zeros(num_envs, 1, dtype=torch.bool)
-        self.via_phase = torch.tensor(_VIA_PHASE, dtype=dtype).repeat(num_envs, 1)
+        self.touched = torch.zeros(num_envs, 1, dtype=torch.bool, device=device)
+        self.via_phase = torch.tensor(_VIA_PHASE, dtype=dtype, device=device).repeat(num_envs, 1)
         self.via_position = zeros(3, 3)
-        self.via_cov = torch.tensor(_VIA_STD, dtype=dtype).square().diag_embed().repeat(num_envs, 1, 1, 1)
-        self.via_mask = torch.ones(num_envs, 3, dtype=torch.bool)
+        self.via_cov = (
+            torch.tensor(_VIA_STD, dtype=dtype, device=device).square().diag_embed().repeat(num_envs, 1, 1, 1)
+        )
+        self.via_mask = torch.ones(num_envs, 3, dtype=torch.bool, device=device)
 
-    def write(self, rows: Rows, drawn: dict[str, np.ndarray]) -> None:
+    def write(self, rows: Tensor, drawn: dict[str, Tensor]) -> None:
         """Store what was drawn.
 
         Args:
@@ -112,13 +114,12 @@ class PushEpisodes(Episodes):
             drawn: a draw of :func:`draw_episodes`.
         """
         half = 0.5 * drawn["size"]
-        for name in ("mass", "friction", "com"):
-            self.physical[name][rows] = drawn[name]
-        self.physical["half"][rows] = half
+        for name, value in (drawn | {"half": half}).items():
+            if name in self.physical:
+                self.physical[name][rows] = value
         self.replace(
-            torch.from_numpy(rows), half=half[:, None], box_start=drawn["box"] + drawn["error"], goal=drawn["goal"],
-            goal_yaw=drawn["goal_yaw"][:, None],
-        )  # fmt: skip
+            rows, half=half, box_start=drawn["box"] + drawn["error"], goal=drawn["goal"], goal_yaw=drawn["goal_yaw"]
+        )
 
     def begin(self, rows: Tensor, distances: PushDistances) -> None:
         """Measure the progress of some environments from where tool and box are now.
@@ -177,34 +178,34 @@ def check_start(boxes: Boxes, ranges: PushRandomisation, tool: tuple[float, floa
 
 
 def draw_episodes(
-    generators: RowGenerators, rows: Rows, ranges: PushRandomisation, boxes: Boxes
-) -> dict[str, np.ndarray]:
+    generators: RowGenerators, rows: Tensor, ranges: PushRandomisation, boxes: Boxes
+) -> dict[str, Tensor]:
     """Draw episodes at random.
 
     Args:
         generators: source of randomness of each environment.
-        rows: indices of the environments.
+        rows: ``(R,)`` indices of the environments.
         ranges: ranges to draw from.
         boxes: the boxes to draw from.
 
     Returns:
-        Arrays with one entry per episode: ``size`` [m], ``mass`` [kg], ``box``, ``goal``, ``tool``, ``com`` and
-        ``error`` (x, y) [m], ``yaw`` and ``goal_yaw`` [rad], ``friction`` [-].
+        Tensors in double precision: ``size`` [m], ``mass`` [kg], ``yaw`` and ``goal_yaw`` [rad] and ``friction`` [-],
+        ``(R, 1)`` each; ``box``, ``goal``, ``tool``, ``com`` and ``error``, ``(R, 2)`` each (x, y) [m].
     """
     names = [name for name in vars(ranges) if name not in _PAIRS] + [name for name in _PAIRS for _ in range(2)]
-    low, high = np.asarray([getattr(ranges, name) for name in names]).T
     uniform = generators.uniform(rows, len(names) + 1)
-    values = (low + (high - low) * uniform[:, 1:]).T
-    drawn = dict(zip(names, values, strict=True))
-    which = (uniform[:, 0] * len(boxes.sizes)).astype(int)
+    low, high = uniform.new_tensor([getattr(ranges, name) for name in names]).unbind(-1)
+    values = low + (high - low) * uniform[:, 1:]
+    drawn = dict(zip(names, values.split(1, -1), strict=True))
+    which = (uniform[:, :1] * len(boxes.sizes)).long()
     return {
-        "size": np.asarray(boxes.sizes)[which],
-        "mass": np.asarray(boxes.masses)[which] * drawn["mass"],
-        "box": np.stack([drawn["box_x"], drawn["box_y"]], -1),
-        "goal": np.stack([drawn["goal_x"], drawn["goal_y"]], -1),
-        "tool": np.stack([drawn["tool_x"], drawn["tool_y"]], -1),
-        "com": values[-4:-2].T,
-        "error": values[-2:].T,
+        "size": uniform.new_tensor(boxes.sizes)[which],
+        "mass": uniform.new_tensor(boxes.masses)[which] * drawn["mass"],
+        "box": torch.cat([drawn["box_x"], drawn["box_y"]], -1),
+        "goal": torch.cat([drawn["goal_x"], drawn["goal_y"]], -1),
+        "tool": torch.cat([drawn["tool_x"], drawn["tool_y"]], -1),
+        "com": values[:, -4:-2],
+        "error": values[:, -2:],
         "yaw": drawn["box_yaw"],
         "goal_yaw": drawn["goal_yaw"],
         "friction": drawn["friction"],

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torchrl.data import Composite
 
-from ppt_rl.envs.arm import Rows
 from ppt_rl.envs.contact_audit import CONTACT, ContactAudit
 from ppt_rl.envs.push.env import PushEnv
 from ppt_rl.envs.push.obstacles import Obstacle, add_plates, facing, set_solid, write_plate
@@ -55,6 +55,10 @@ class ObstructedPushEnv(PushEnv):
         require_instance("obstacle", obstacle, Obstacle)
         self.obstacle = obstacle
         super().__init__(num_envs, **kwargs)
+        if self.engine_config.on(self.device) != "threads":
+            raise ValueError(
+                "the engine is 'warp'; expected 'threads', which can follow the plates' contacts one by one."
+            )
 
     # -- scene --------------------------------------------------------------------------------------------------------
 
@@ -103,12 +107,13 @@ class ObstructedPushEnv(PushEnv):
         self._began_at = pose[:, :2].to(self.dtype)
         return super()._arm_position(pose)
 
-    def _begin(self, rows: Rows) -> np.ndarray:
-        position = super()._begin(rows)
-        self._start[torch.from_numpy(rows)] = self._began_at
+    def _begin(self, begun: Tensor) -> Tensor:
+        position = super()._begin(begun).numpy()
+        rows = begun.numpy()
+        self._start[begun] = self._began_at
         self._count[rows] += 1
         self._held[rows] = True
-        self._moment[rows] = self._fates.uniform(rows, 1)[:, 0]
+        self._moment[rows] = self._fates.uniform(begun, 1)[:, 0].numpy()
         self._place(rows)
         for row in rows:
             self._write_obstacle(self.engine.models[row], int(row))
@@ -117,9 +122,9 @@ class ObstructedPushEnv(PushEnv):
             ahead = np.stack([np.cos(self._heading[rows]), np.sin(self._heading[rows])], -1)
             box[:, :2] = self._front[rows, 0, :2] + _OUT_OF_THE_WAY * ahead
         box[:, 2] += self.obstacle.rise
-        return np.concatenate([position, np.zeros((len(rows), self._joints_of_plates))], -1)
+        return torch.from_numpy(np.concatenate([position, np.zeros((len(rows), self._joints_of_plates))], -1))
 
-    def _place(self, rows: Rows) -> None:
+    def _place(self, rows: NDArray[np.int64]) -> None:
         """Where the fronts of the plates stand, and their heading."""
         episode, obstacle = self._episode, self.obstacle
         if obstacle.place == "table":

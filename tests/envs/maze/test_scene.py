@@ -10,12 +10,10 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from ppt_rl.arms import PANDA
 from ppt_rl.envs import MazeRandomisation, PandaMazeEnv
 from ppt_rl.envs.maze.geometry import WALL_HEIGHT, build_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn, paper_layout
-from ppt_rl.envs.maze.scene import maze_scene, write_corridor
-from ppt_rl.envs.mujoco_imports import mjcf
+from ppt_rl.envs.maze.scene import boxes_of
 from tests.engines import COARSE
 from tests.envs.maze.mazes import (
     LEVEL,
@@ -109,11 +107,12 @@ def test_all_mazes_are_one_compiled_model_with_different_numbers(env: PandaMazeE
 
 
 def test_a_new_maze_leaves_nothing_of_the_previous_one_in_the_model() -> None:
-    model = mjcf.Physics.from_mjcf_model(maze_scene(PANDA)).model.ptr
-    fresh = mjcf.Physics.from_mjcf_model(maze_scene(PANDA)).model.ptr
-    write_corridor(model, build_corridor(paper_layout()), 0.3)
-    for target in (model, fresh):
-        write_corridor(target, build_corridor(LEVEL), 0.2)
+    used = PandaMazeEnv.of([paper_layout(), LEVEL], 1, **FAST)
+    for _ in range(2):
+        used.reset()
+    new = PandaMazeEnv.of([LEVEL], **FAST)
+    new.reset()
+    model, fresh = used.engine.models[0], new.engine.models[0]
     for name in ("geom_pos", "geom_quat", "geom_size", "geom_rbound", "geom_aabb", "pair_friction"):
         np.testing.assert_array_equal(getattr(model, name), getattr(fresh, name), err_msg=name)
     assert (model.geom_pos[pieces(model), 2] > -1).sum() == len(build_corridor(LEVEL).faces) + 1
@@ -137,11 +136,11 @@ def test_the_inspected_model_has_the_maze_of_its_environment(env: PandaMazeEnv) 
                 )
 
 
-def test_a_maze_with_more_pieces_than_the_model_is_refused(env: PandaMazeEnv) -> None:
+def test_a_maze_with_more_pieces_than_the_model_is_refused() -> None:
     segments = (Straight(0.1), *(Disc(0.09), Straight(0.1)) * 4)
     corridor = build_corridor(MazeLayout(segments))
     with pytest.raises(ValueError, match=r"the maze has \d+ pieces of wall; expected at most 48\. Shorten it\."):
-        write_corridor(env.engine.models[0], corridor, 0.2)
+        boxes_of(corridor)
 
 
 def test_a_layout_with_more_pieces_than_the_model_is_refused_before_the_first_episode() -> None:

@@ -43,8 +43,8 @@ def test_the_via_points_touch_the_box_that_was_drawn():
 
 def test_each_size_has_the_mass_that_was_given_for_it():
     boxes = Boxes.of((0.05, 0.1, 0.05), (0.1, 0.4, 0.2))
-    drawn = draw_episodes(RowGenerators(0, 400), np.arange(400), PushRandomisation(mass=(1.0, 1.0)), boxes)
-    assert set(zip(drawn["size"].tolist(), drawn["mass"].tolist(), strict=True)) == {
+    drawn = draw_episodes(RowGenerators(0, 400), torch.arange(400), PushRandomisation(mass=(1.0, 1.0)), boxes)
+    assert set(map(tuple, torch.cat([drawn["size"], drawn["mass"]], -1).tolist())) == {
         (0.05, 0.1),
         (0.1, 0.4),
         (0.05, 0.2),

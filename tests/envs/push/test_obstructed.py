@@ -78,9 +78,9 @@ def test_the_momentum_of_a_free_hand_is_the_impulse_on_it():
     engine, impulse = base._contact._engine, np.zeros(2)
     step = engine.step
 
-    def recording(control, rows=None):
-        result = step(control, rows)
-        impulse[:] -= result.sensors[:, :, normal].sum(1) * 0.0005
+    def recording(control, mask=None):
+        result = step(control, mask)
+        impulse[:] -= result.sensors[:, :, normal].sum(1).numpy() * 0.0005
         return result
 
     engine.step = recording

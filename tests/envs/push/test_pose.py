@@ -101,7 +101,7 @@ def test_an_observed_yaw_error_does_not_change_when_another_episode_begins():
 def test_the_goal_mark_is_turned_as_the_goal_is():
     env = PushEnv(1, goal="pose", seed=3)
     env.reset()
-    quat = env.engine.models[0].body("goal").quat
+    quat = env.physics(0).model.ptr.body("goal").quat
     assert 2 * math.atan2(quat[3], quat[0]) == pytest.approx(float(env._episode.goal_yaw[0]), abs=1e-6)
 
 
@@ -137,7 +137,7 @@ def test_an_offset_moves_the_centre_of_mass_and_not_the_observed_position():
 
 def test_environments_with_an_offset_are_drawn_anew_and_step():
     env = PushEnv(2, seed=1, randomisation=PushRandomisation(com=(-0.015, 0.015)), duration=0.05)
-    first, second = ((env.reset(), env._episode.physical["com"].copy())[1] for _ in range(2))
+    first, second = ((env.reset(), env._episode.physical["com"].clone())[1] for _ in range(2))
     assert (first != second).all()
     assert not rollout(env, torques(env, 5))["next", "diverged"].any()
 

@@ -37,7 +37,6 @@ def test_the_properties_of_a_box_lie_in_their_ranges_and_are_written_to_its_own_
         assert geom.size.tolist() == [geom.size[0]] * 3
         assert float(observation["box_size"][row, 0]) == pytest.approx(edge)
         np.testing.assert_allclose(body.inertia, body.mass[0] * edge**2 / 6, rtol=1e-12)
-        np.testing.assert_allclose(model.body("goal").pos[:2], observation["goal"][row].numpy(), rtol=1e-6)
     for drawn, (low, high) in ((frictions, ranges.friction), (factors, ranges.mass)):
         assert low <= min(drawn) < low + 0.1 * (high - low)
         assert high >= max(drawn) > high - 0.1 * (high - low)
@@ -115,7 +114,7 @@ def test_a_box_on_the_table_settles_by_a_tenth_of_a_millimetre_and_then_stays_wi
     start = np.array([env.engine.state(row)[8:15] for row in range(4)])
     path = []
     for _ in range(130):
-        env.engine.step(np.zeros((4, 7)))
+        env.engine.step(torch.zeros(4, 7))
         path.append([env.engine.state(row)[8:15] for row in range(4)])
     # The episode starts with the box just touching; the soft contact carries its weight 0.108 mm deeper.
     moved = np.array(path) - start
@@ -153,11 +152,11 @@ def test_a_sliding_box_stops_on_a_straight_line_after_the_distance_of_coulomb_fr
 
 def test_the_inspected_model_has_the_box_of_its_environment():
     env = PandaPushEnv(2, seed=0)
-    env.reset()
+    start = env.reset()
     for row in (1, 0):
         shown, stepped = env.physics(row).model.ptr, env.engine.models[row]
         for name in ("size", "friction"):
             np.testing.assert_array_equal(getattr(shown.geom("box"), name), getattr(stepped.geom("box"), name))
         assert shown.body("box").mass[0] == stepped.body("box").mass[0]
         goal = forwarded(shown, env.engine.state(row)).body("goal").xpos
-        np.testing.assert_array_equal(goal, stepped.body("goal").pos)
+        np.testing.assert_allclose(goal[:2], start["goal"][row].numpy(), rtol=1e-6)
