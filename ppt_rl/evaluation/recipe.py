@@ -109,7 +109,9 @@ class Recipe:
         Returns:
             The environment.
         """
-        return TransformedEnv(base, Compose(*self.make_chain(config, base, **modules)))
+        for module in modules.values():
+            module.to(base.device)
+        return TransformedEnv(base, Compose(*self.make_chain(config, base, **modules)).to(base.device))
 
     def make_env(
         self,

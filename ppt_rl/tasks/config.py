@@ -99,7 +99,8 @@ def env_settings(config: TaskConfig, *, num_envs: int, seed: int | None, audit: 
         "arm": find_arm(config.arm),
         "seed": seed,
         "control_dt": config.control_dt,
-        "engine": EngineConfig(config.physics_dt, config.num_threads or None, audit),
+        "device": config.device,
+        "engine": EngineConfig(config.physics_dt, config.num_threads or None, audit, config.engine),
     }
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import torch
 
@@ -40,6 +40,8 @@ class RunConfig:
         validation_episodes: episodes of a validation, the same ones every time; 0 takes one of each environment.
         ppo: settings of PPO.
         resume_from: continue from this checkpoint of run_dir, or of another run where run_dir holds none.
+        device: where the physics, the networks and the batches are, such as ``cuda``.
+        engine: engine of the physics; ``auto`` takes ``warp`` on a GPU and ``threads`` on the CPU.
     """
 
     run_dir: Path = Path("runs/run")
@@ -52,6 +54,8 @@ class RunConfig:
     validation_episodes: int = 0
     ppo: PPOConfig = field(default_factory=PPOConfig)
     resume_from: Path | None = field(default=None, metadata=_NOT_RECORDED, kw_only=True)
+    device: str = field(default="cpu", metadata=_NOT_RECORDED, kw_only=True)
+    engine: Literal["auto", "threads", "warp"] = field(default="auto", metadata=_NOT_RECORDED, kw_only=True)
 
     bounds: ClassVar[dict[str, Bounds]] = {
         "seed": Bounds(0, 2**32 - 1),

@@ -93,6 +93,7 @@ class WarpPhysics:
         """See :meth:`PhysicsEngine.reset`."""
         worlds = self._open_worlds()
         self._run("derive", worlds.derive)
+        worlds.move_fixed_geoms()
         worlds.place(rows, position)
         self._run("forward", worlds.forward)
         return worlds.sensors[rows].clone()

@@ -11,6 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ppt_rl.functional.rotations import quat_to_matrix
+
 __all__ = ["Worlds", "import_warp"]
 
 #: Fields that follow from a written field and are computed anew at a reset, so that each world needs its own.
@@ -87,6 +89,9 @@ class Worlds:
         self.control, self.sensors, self.overflow = view(data.ctrl), view(data.sensordata), view(data.overflow)
         self._derived = any(field in _DERIVED for field in written)
         self._masses = any(field.startswith("body_") for field in written)
+        moved = "geom_pos" in written or "geom_quat" in written
+        fixed = model.geom_bodyid == 0 if moved else []
+        self._fixed = torch.as_tensor(fixed, device=device).nonzero().squeeze(-1)
         self._lost = self._bits_of_loss()
 
     def _bits_of_loss(self) -> int:
@@ -170,6 +175,15 @@ class Worlds:
         elif self._derived:
             self._mjw.set_const_fixed(self._model, self._data)
 
+    def move_fixed_geoms(self) -> None:
+        """Tell the collision detection where written geoms of the world's body are, which Warp looks up only once."""
+        if not len(self._fixed):
+            return
+        view = self._wp.to_torch
+        position, orientation = self.field("geom_pos"), self.field("geom_quat")
+        view(self._data.geom_xpos)[:, self._fixed] = position[:, self._fixed]
+        view(self._data.geom_xmat)[:, self._fixed] = quat_to_matrix(orientation[:, self._fixed])
+
     def place(self, rows: Tensor, position: Tensor) -> None:
         """Put worlds at rest.
 
@@ -208,5 +222,6 @@ class Worlds:
             self.field(name).copy_(value)
         with self.on_stream():
             self.derive()
+        self.move_fixed_geoms()
         for own, value in zip(self.state, snapshot["state"], strict=True):
             own.copy_(value)
