@@ -92,8 +92,7 @@ class WarpPhysics:
     def reset(self, rows: Tensor, position: Tensor) -> Tensor:
         """See :meth:`PhysicsEngine.reset`."""
         worlds = self._open_worlds()
-        self._run("derive", worlds.derive)
-        worlds.move_fixed_geoms()
+        worlds.derive()
         worlds.place(rows, position)
         self._run("forward", worlds.forward)
         return worlds.sensors[rows].clone()

@@ -42,6 +42,8 @@ def import_warp() -> tuple[Any, Any]:
 
         warp.config.log_level = warp.LOG_WARNING
         import mujoco_warp
+
+        warp.init()
     except ImportError as error:
         raise ImportError(
             f"engine='warp' needs MuJoCo Warp, which cannot be imported ({error}). Install it with "
@@ -170,12 +172,14 @@ class Worlds:
 
     def derive(self) -> None:
         """Compute what follows from the written fields."""
-        if self._masses:
-            self._mjw.set_const(self._model, self._data, restore=False)
-        elif self._derived:
-            self._mjw.set_const_fixed(self._model, self._data)
+        with self.on_stream():
+            if self._masses:
+                self._mjw.set_const(self._model, self._data, restore=False)
+            elif self._derived:
+                self._mjw.set_const_fixed(self._model, self._data)
+        self._move_fixed_geoms()
 
-    def move_fixed_geoms(self) -> None:
+    def _move_fixed_geoms(self) -> None:
         """Tell the collision detection where written geoms of the world's body are, which Warp looks up only once."""
         if not len(self._fixed):
             return
@@ -220,8 +224,6 @@ class Worlds:
         """
         for name, value in zip(self.written, snapshot["fields"], strict=True):
             self.field(name).copy_(value)
-        with self.on_stream():
-            self.derive()
-        self.move_fixed_geoms()
+        self.derive()
         for own, value in zip(self.state, snapshot["state"], strict=True):
             own.copy_(value)
