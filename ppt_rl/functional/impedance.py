@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.checks import is_readable, require_last_dim
 from ppt_rl.functional.shape_checks import require_same_batch, require_trailing
 
 __all__ = [
@@ -186,8 +186,16 @@ def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping:
     gram = weighted @ jacobian.mT
     gram.diagonal(dim1=-2, dim2=-1).add_(damping**2)
     factor, _ = torch.linalg.cholesky_ex(gram)  # positive definite by construction, so no check that synchronises
-    solved = torch.cholesky_solve(weighted @ torque.unsqueeze(-1), factor)
+    solved = _solve(factor, weighted @ torque.unsqueeze(-1))
     return torque - (jacobian.mT @ solved).squeeze(-1)
+
+
+def _solve(factor: Tensor, right: Tensor) -> Tensor:
+    """Solve ``L L^T x = right``; on a GPU in two steps, since there the solution in one makes the host wait."""
+    if is_readable(factor):
+        return torch.cholesky_solve(right, factor)
+    lower = torch.linalg.solve_triangular(factor, right, upper=False)
+    return torch.linalg.solve_triangular(factor.mT, lower, upper=True)
 
 
 def power(effort: Tensor, flow: Tensor) -> Tensor:

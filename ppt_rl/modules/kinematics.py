@@ -107,6 +107,13 @@ class Kinematics(nn.Module):
         offsets = _offsets(self.arm, self.tool_length)
         self._chain = _chain(self.arm, offsets).to(dtype=self._anchor.dtype, device=self._anchor.device)
         self._offsets = offsets.to(self._anchor)
+        self._inertials = tuple(value.to(self._anchor) for value in _inertials(self.arm))
+        self._armature = torch.tensor(self.arm.joints.armature, dtype=torch.float64).to(self._anchor).diag()
+
+    def _follow_anchor(self) -> None:
+        """Build the constants anew where the module was moved or its precision changed."""
+        if self._offsets.dtype != self._anchor.dtype or self._offsets.device != self._anchor.device:
+            self._build()
 
     def forward(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
         """Compute pose and Jacobian together.
@@ -156,17 +163,18 @@ class Kinematics(nn.Module):
         """
         count = self.arm.num_joints
         require_last_dim("joint_position", joint_position, count)
+        self._follow_anchor()
         angle = joint_position.reshape(-1, count).to(self._anchor.dtype)
         links = self._frames(angle)[1:-1].transpose(0, 1)  # (B, n, 4, 4)
         turn, origin, axis = links[..., :3, :3], links[..., :3, 3], links[..., :3, 2]
-        mass, com, inertia = (value.to(angle) for value in _inertials(self.arm))
+        mass, com, inertia = self._inertials
         centre = origin + (turn @ com.unsqueeze(-1)).squeeze(-1)
         moved = torch.ones(count, count, dtype=angle.dtype, device=angle.device).tril().unsqueeze(-1)  # link, joint
         angular = axis.unsqueeze(1) * moved  # (B, link, joint, 3)
         linear = torch.linalg.cross(angular, centre.unsqueeze(2) - origin.unsqueeze(1))
         world = turn @ inertia @ turn.mT
         total = mass[:, None, None] * linear @ linear.mT + angular @ world @ angular.mT
-        matrix = total.sum(1) + torch.tensor(self.arm.joints.armature, dtype=torch.float64).to(angle).diag()
+        matrix = total.sum(1) + self._armature
         return matrix.reshape(*joint_position.shape[:-1], count, count)
 
     def inverse(self, pose: Tensor, guess: Tensor, iterations: int = 60, damping: float = 0.1) -> Tensor:
@@ -217,8 +225,7 @@ class Kinematics(nn.Module):
     def _jacobian_and_matrix(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
         count = self.arm.num_joints
         require_last_dim("joint_position", joint_position, count)
-        if self._offsets.dtype != self._anchor.dtype or self._offsets.device != self._anchor.device:
-            self._build()
+        self._follow_anchor()
         batch = joint_position.shape[:-1]
         frames = self._frames(joint_position.reshape(-1, count).to(self._anchor.dtype))
         jacobian, matrix = self._chain.jacobian_tensor(None, ret_eef_pose=True, all_transforms=frames)

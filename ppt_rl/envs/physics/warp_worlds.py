@@ -25,6 +25,8 @@ _DERIVED = {
 }
 #: Rows of constraints that a contact may need: a normal and two tangential ones (``condim="3"``).
 _ROWS_OF_CONTACT = 3
+#: All worlds share the memory of their contacts; its size is this many times what they may need.
+_SPARE = 2
 
 
 @cache
@@ -85,7 +87,7 @@ class Worlds:
         with self.on_stream():
             self._model = self._mjw.put_model(model, batch_sizes=dict.fromkeys(sorted(fields), num_worlds))
             self._model.opt.warn_overflow = False  # an overflow is an event of its world, not a message
-            self._data = self._mjw.make_data(model, nworld=num_worlds, nconmax=contacts, njmax=rows)
+            self._data = self._mjw.make_data(model, nworld=num_worlds, nconmax=_SPARE * contacts, njmax=rows)
         data, view = self._data, self._wp.to_torch
         self.state = [view(value) for value in (data.time, data.qpos, data.qvel, data.qacc_warmstart)]
         self.control, self.sensors, self.overflow = view(data.ctrl), view(data.sensordata), view(data.overflow)
