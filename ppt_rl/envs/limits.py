@@ -124,9 +124,15 @@ def require_device(name: str, device: torch.device | str) -> torch.device:
         The device.
 
     Raises:
-        ValueError: if torch does not know it.
+        ValueError: if torch does not know it, or it is a GPU that this machine or this build of torch lacks.
     """
     try:
-        return torch.device(device)
+        found = torch.device(device)
     except (RuntimeError, TypeError) as error:
         raise ValueError(f"{name} is {shown(device)}; expected a device of torch, such as 'cpu' or 'cuda'.") from error
+    if found.type == "cuda" and (found.index or 0) >= torch.cuda.device_count():
+        raise ValueError(
+            f"{name} is {shown(str(device))}, and torch {torch.__version__} sees {torch.cuda.device_count()} GPUs "
+            "here; expected a device that it sees. Use device='cpu', or install a driver and a build of torch with CUDA."
+        )
+    return found

@@ -74,7 +74,7 @@ class Policy:
         self, num_envs: int = 1, *, seed: int | None = None, audit: bool = False, privileged: bool = False,
         given: Sequence[Any] = (),
     ) -> TransformedEnv:  # fmt: skip
-        """The environment of the test with the chain of the policy.
+        """The environment of the test with the chain of the policy, which moves to the device of its options.
 
         Args:
             num_envs: number of environments that step together.
@@ -87,6 +87,7 @@ class Policy:
             The environment.
         """
         env = self.recipe.make_env(self.config, self.modules, num_envs=num_envs, seed=seed, audit=audit, given=given)
+        self.actor.to(env.device)
         return env if privileged else env.append_transform(ExcludeTransform(*self.recipe.task.privileged))
 
     def baselines(self) -> list[str]:

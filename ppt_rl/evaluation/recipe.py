@@ -8,8 +8,7 @@ import inspect
 import pkgutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from ppt_rl.training import (
     Validation,
     options_to_resume,
     prepare_torch,
+    preset_options,
     run_script,
     train_in_run_dir,
 )
@@ -187,7 +187,15 @@ class Recipe:
             args: command line; None takes that of the process.
             prog: name of the program in its help; None takes that of the process.
         """
-        run_script(self.train, self.config, args, prog, partial(options_to_resume, self.config, self.variant))
+        run_script(self.train, self.config, args, prog, self._defaults)
+
+    def _defaults(self, args: Sequence[str]) -> Any:
+        """Options of the run that a command line goes on with, or of the preset that it names."""
+        resumed = options_to_resume(self.config, self.variant, args)
+        preset = preset_options(self.config, args)
+        if resumed is None or preset is None:
+            return resumed or preset
+        return replace(resumed, device=preset.device)
 
 
 def shipped_recipes() -> dict[str, Path]:

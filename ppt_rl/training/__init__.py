@@ -1,7 +1,7 @@
 """The PPO loop, its checkpoints and its logs; it knows no task."""
 
 from ppt_rl.training.checkpoint import CheckpointMismatch, checkpoint_info, find_checkpoint, load_checkpoint
-from ppt_rl.training.config import RunConfig, as_json, from_json, prepare_torch, with_settings
+from ppt_rl.training.config import RunConfig, as_json, from_json, prepare_torch, preset_options, with_settings
 from ppt_rl.training.constrained import ConstrainedLearner
 from ppt_rl.training.finite import TrainingDiverged
 from ppt_rl.training.lagrangian import Constraint, LagrangianPPOLoss
@@ -36,6 +36,7 @@ __all__ = [
     "make_cost_critic",
     "options_to_resume",
     "prepare_torch",
+    "preset_options",
     "run_script",
     "train_in_run_dir",
     "train_ppo",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from types import NoneType
 from typing import Any, ClassVar, Literal, TypeVar
@@ -16,9 +17,11 @@ from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.checks import Bounds, require_at_most, require_bounds
 from ppt_rl.training.ppo import PPOConfig
 
-__all__ = ["RunConfig", "as_json", "from_json", "prepare_torch", "with_settings"]
+__all__ = ["RunConfig", "as_json", "from_json", "prepare_torch", "preset_options", "with_settings"]
 
 _Config = TypeVar("_Config")
+#: Names of the presets of every recipe.
+Preset = Literal["none", "gpu"]
 #: Marks a field that says how this process starts, and nothing of the run: its JSON form leaves it out.
 _NOT_RECORDED = {"recorded": False}
 #: Policy steps of a batch that fit into the memory of a large machine.
@@ -42,6 +45,7 @@ class RunConfig:
         resume_from: continue from this checkpoint of run_dir, or of another run where run_dir holds none.
         device: where the physics, the networks and the batches are, such as ``cuda``.
         engine: engine of the physics; ``auto`` takes ``warp`` on a GPU and ``threads`` on the CPU.
+        preset: other defaults: ``gpu`` are those for training on a GPU. Options that are given stay as they are.
     """
 
     run_dir: Path = Path("runs/run")
@@ -56,6 +60,12 @@ class RunConfig:
     resume_from: Path | None = field(default=None, metadata=_NOT_RECORDED, kw_only=True)
     device: str = field(default="cpu", metadata=_NOT_RECORDED, kw_only=True)
     engine: Literal["auto", "threads", "warp"] = field(default="auto", metadata=_NOT_RECORDED, kw_only=True)
+    preset: Preset = field(default="none", metadata=_NOT_RECORDED, kw_only=True)
+
+    #: Other defaults by the name of a preset, as :func:`with_settings` takes them.
+    presets: ClassVar[dict[str, dict[str, str]]] = {
+        "gpu": {"device": "cuda", "num_envs": "4096", "ppo.minibatches": "16", "ppo.target_kl": "0.06"}
+    }
 
     bounds: ClassVar[dict[str, Bounds]] = {
         "seed": Bounds(0, 2**32 - 1),
@@ -85,6 +95,21 @@ class RunConfig:
             New values by field; those in ``changes`` go before them.
         """
         return {}
+
+
+def preset_options(options: type[RunConfig], args: Sequence[str]) -> RunConfig | None:
+    """The options with the defaults of the preset that a command line names.
+
+    Args:
+        options: dataclass of a recipe's options.
+        args: command line.
+
+    Returns:
+        The options; None if it names none, or an unknown one, which the parse of the command line explains.
+    """
+    name = next((value for flag, value in pairwise(args) if flag == "--preset"), None)
+    name = next((arg.partition("=")[2] for arg in args if arg.startswith("--preset=")), name)
+    return with_settings(options(), options.presets[name]) if name in options.presets else None
 
 
 def prepare_torch(config: RunConfig) -> None:

@@ -2,15 +2,16 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import ClassVar
 
 import pytest
 
+from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import find_recipe, shipped_recipes
 from ppt_rl.functional.checks import Bounds
-from ppt_rl.training import PPOConfig, RunConfig, as_json, from_json, with_settings
+from ppt_rl.training import PPOConfig, RunConfig, as_json, from_json, preset_options, with_settings
 
 #: Numbers that let a training hang or exhaust the memory.
 ABSURD = {
@@ -156,3 +157,31 @@ def test_with_another_goal_what_was_left_to_it_follows_and_what_was_set_stays():
 def test_several_settings_of_one_nested_group_are_all_taken():
     ppo = with_settings(find_recipe("s_push").config(), {"ppo.gamma": "0.9", "ppo.epochs": "3"}).ppo
     assert (ppo.gamma, ppo.epochs) == (0.9, 3)
+
+
+@pytest.mark.parametrize("variant", shipped_recipes())
+def test_the_preset_for_a_gpu_changes_defaults_only(variant):
+    options = find_recipe(variant).config
+    preset = preset_options(options, ["--seed", "3", "--preset", "gpu"])
+    assert preset.device == "cuda"
+    assert preset.num_envs >= 1024
+    assert preset == preset_options(options, ["--preset=gpu"])
+    assert preset_options(options, ["--seed", "3"]) is None
+    assert preset_options(options, ["--preset", "other"]) is None
+    plain = as_json(options())
+    assert {key for key, value in as_json(preset).items() if value != plain[key]} <= {
+        "num_envs", "ppo", "validate_every", "validation_episodes"
+    }  # fmt: skip
+
+
+def test_options_on_the_command_line_stand_beside_those_of_a_preset(capsys):
+    taken = []
+    recipe = replace(find_recipe("ppt_push"))
+    object.__setattr__(recipe, "train", taken.append)
+    recipe.main(["--preset", "gpu", "--num-envs", "64"])
+    assert (taken[0].num_envs, taken[0].device, taken[0].ppo.minibatches) == (64, "cuda", 8)
+
+
+def test_a_gpu_that_is_not_there_is_refused_with_what_there_is():
+    with pytest.raises(ValueError, match=r"device is 'cuda:77', and torch .* sees \d+ GPUs here"):
+        PushEnv(1, device="cuda:77")

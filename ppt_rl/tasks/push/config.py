@@ -100,6 +100,14 @@ class EpisodeLevelConfig(PushConfig):
     residual_yaw: float = 0.4
     initial_scale: float = 0.3
 
+    # An episode is one policy step, so a batch of more environments is larger, and each update may go further.
+    presets: ClassVar[dict[str, dict[str, str]]] = {
+        "gpu": {
+            "device": "cuda", "num_envs": "2048", "validate_every": "4", "validation_episodes": "512",
+            "ppo.minibatches": "8", "ppo.target_kl": "0.06", "ppo.total_control_steps": "6144000",
+        }
+    }  # fmt: skip
+
     bounds: ClassVar[dict[str, Bounds]] = {
         "residual_position": Bounds(0.0, 10.0, "m"),
         "residual_yaw": Bounds(0.0, 10.0, "rad"),
