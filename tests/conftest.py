@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-import ppt_rl.envs  # noqa: F401  before any test imports MuJoCo: it chooses the backend of rendering
+from ppt_rl.envs import EngineConfig  # before any test imports MuJoCo: it chooses the backend of rendering
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
@@ -26,3 +26,15 @@ def _torch_as_new() -> None:
 def root() -> Path:
     """Top of the repository."""
     return ROOT
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--engine", choices=["threads", "warp"], help="engine of every environment for which a test names none"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    name = config.getoption("--engine")
+    if name is not None:
+        EngineConfig.on = lambda self, device: name if self.name == "auto" else self.name  # type: ignore[method-assign]

@@ -133,6 +133,6 @@ def require_device(name: str, device: torch.device | str) -> torch.device:
     if found.type == "cuda" and (found.index or 0) >= torch.cuda.device_count():
         raise ValueError(
             f"{name} is {shown(str(device))}, and torch {torch.__version__} sees {torch.cuda.device_count()} GPUs "
-            "here; expected a device that it sees. Use device='cpu', or install a driver and a build of torch with CUDA."
+            "here; expected a device that it sees. Use device='cpu', or install a driver and torch with CUDA."
         )
     return found
