@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+import threading
+
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
 
 from ppt_rl.modules import make_actor, make_critic
 from ppt_rl.training.batches import batch_statistics, control_steps
@@ -23,6 +27,21 @@ def batch(actor, count=256):
     }  # fmt: skip
     data["next"] = TensorDict(following, [count])
     return data.unsqueeze(1).refine_names(None, "time")
+
+
+def episodes(actor, count, steps):
+    """Steps ``(count, steps)`` on a path, with episodes that end or are cut off here and there."""
+    path = torch.randn(count, steps + 1, 2)
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        data = actor(TensorDict({"observation": path[:, :-1]}, [count, steps], names=[None, "time"]))
+    terminated, truncated = torch.rand(count, steps, 1) < 0.1, torch.rand(count, steps, 1) < 0.1
+    following = {
+        "observation": path[:, 1:], "reward": torch.randn(count, steps, 1), "done": terminated | truncated,
+        "terminated": terminated, "truncated": truncated & ~terminated,
+        "control_steps": torch.randint(1, 9, (count, steps, 1)),
+    }  # fmt: skip
+    data["next"] = TensorDict(following, [count, steps])
+    return data
 
 
 def learner(**settings):
@@ -64,11 +83,11 @@ def test_the_divergence_is_zero_before_an_update_and_positive_after():
 
 
 def count_steps(ppo, monkeypatch):
-    """A list that grows with every step of the optimizer, by the number of torch's threads."""
+    """A list that grows with every step of the optimizer."""
     steps, step = [], ppo.optimizer.step
 
     def spy(*args, **kwargs):
-        steps.append(torch.get_num_threads())
+        steps.append(len(steps))
         return step(*args, **kwargs)
 
     monkeypatch.setattr(ppo.optimizer, "step", spy)
@@ -90,30 +109,124 @@ def test_the_learning_rate_falls_when_the_policy_moves_too_far_and_rises_when_it
     assert low < 1e-4 < high
 
 
-@pytest.mark.parametrize(("count", "inside"), [(4097, 3), (256, 1)])
-def test_a_large_batch_is_learnt_on_every_cpu_and_the_threads_are_given_back(count, inside, monkeypatch):
-    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1, 2})
-    assert torch.get_num_threads() == 1
-    ppo = learner(epochs=1, minibatches=1)
-    steps = count_steps(ppo, monkeypatch)
-    ppo.update(batch(ppo.actor, count))
-    assert steps == [inside]
-    assert torch.get_num_threads() == 1
+@pytest.mark.parametrize(("threads", "count", "parts"), [(2, 2048, 2), (2, 256, 1), (3, 8192, 3), (None, 8192, 4)])
+def test_the_rows_of_a_large_minibatch_are_shared_among_threads(threads, count, parts, monkeypatch):
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: set(range(4)))
+    actor = make_actor(["observation"], 2, 2, initial_scale=0.5)
+    ppo = Learner(actor, make_critic(["observation"], 2), PPOConfig(epochs=1, minibatches=1), threads)
+    seen, gradients = [], ppo.objective.gradients
+
+    def spy(rows, share):
+        seen.append((threading.current_thread(), torch.get_num_threads(), len(rows)))
+        return gradients(rows, share)
+
+    monkeypatch.setattr(ppo.objective, "gradients", spy)
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        ppo.update(batch(ppo.actor, count))
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert len({thread for thread, *_ in seen}) == len(seen) == parts
+    assert {inside for _, inside, _ in seen} == {1}
+    assert sum(rows for *_, rows in seen) == count
 
 
-def test_the_threads_are_given_back_where_an_update_fails(monkeypatch):
-    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1, 2})
-    ppo, threads = learner(), []
+def test_the_number_of_threads_changes_an_update_by_rounding_alone():
+    results = []
+    for threads in (1, 3):
+        torch.manual_seed(0)
+        actor = make_actor(["observation"], 2, 2, initial_scale=0.5)
+        ppo = Learner(
+            actor, make_critic(["observation"], 2), PPOConfig(epochs=3, minibatches=2, target_kl=1e9), threads
+        )
+        results.append((ppo.update(batch(ppo.actor, 4096)), [value.detach() for value in ppo.objective.parameters]))
+    (told, ours), (also, theirs) = results
+    assert also == pytest.approx(told, rel=1e-4, abs=1e-6)
+    for one, other in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-5)
+
+
+def test_the_threads_of_torch_are_given_back_where_an_update_fails(monkeypatch):
+    ppo, threads, before = learner(), [], torch.get_num_threads()
 
     def fail():
         threads.append(torch.get_num_threads())
         raise RuntimeError("no step")
 
     monkeypatch.setattr(ppo.optimizer, "step", fail)
-    with pytest.raises(RuntimeError, match="no step"):
-        ppo.update(batch(ppo.actor, 4097))
-    assert threads == [3]
-    assert torch.get_num_threads() == 1
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(RuntimeError, match="no step"):
+            ppo.update(batch(ppo.actor, 64))
+        assert threads == [1]
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+
+
+def by_torchrl(ppo, data):
+    """An update as torchrl's own parts make it: two evaluations of every value, the whole loss, plain Adam."""
+    config, actor, critic = ppo.config, ppo.actor, ppo.critic
+    estimator = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=critic, average_gae=False)
+    estimator.set_keys(steps_to_next_obs=("next", "control_steps"))
+    loss = ClipPPOLoss(
+        actor, critic, clip_epsilon=config.clip, entropy_bonus=config.entropy > 0, entropy_coeff=config.entropy,
+        critic_coeff=1.0, normalize_advantage=True, loss_critic_type="smooth_l1",
+    )  # fmt: skip
+    adam = torch.optim.Adam(loss.parameters(), lr=config.learning_rate, eps=1e-5)
+    with torch.no_grad():
+        flat = estimator(data.clone()).reshape(-1)
+    for _ in range(config.epochs):
+        for rows in torch.randperm(len(flat)).chunk(config.minibatches):
+            losses = loss(flat[rows])
+            adam.zero_grad()
+            sum(losses[name] for name in losses.keys() if name.startswith("loss_")).backward()
+            torch.nn.utils.clip_grad_norm_(loss.parameters(), config.max_grad_norm)
+            adam.step()
+    old = torch.distributions.Normal(flat["loc"], flat["scale"])
+    kl = torch.distributions.kl_divergence(old, actor.get_dist(flat.select("observation")).base_dist).sum(-1).mean()
+    return float(kl), [value.detach() for value in loss.parameters()]
+
+
+@pytest.mark.parametrize("entropy", [0.0, 0.01])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_update_is_that_of_torchrls_own_loss_and_estimator(entropy, threads):
+    settings = {
+        "epochs": 3,
+        "minibatches": 3,
+        "target_kl": 1e9,
+        "entropy": entropy,
+        "gamma": 0.99,
+        "max_grad_norm": 0.5,
+        "max_learning_rate": PPOConfig.learning_rate,  # torchrl's parts have no schedule
+    }
+    made = []
+    for _ in range(2):
+        torch.manual_seed(0)
+        actor = make_actor(["observation"], 2, 2, initial_scale=0.5)
+        made.append(Learner(actor, make_critic(["observation"], 2), PPOConfig(**settings), threads))
+    ours, theirs = made
+    torch.manual_seed(1)
+    data = episodes(ours.actor, 50, 37)
+    torch.manual_seed(2)
+    told = ours.update(data)
+    torch.manual_seed(2)
+    kl, parameters = by_torchrl(theirs, data)
+    assert told["kl"] == pytest.approx(kl, rel=1e-3)
+    assert told["kl"] > 1e-4
+    for one, other in zip(ours.objective.parameters, parameters, strict=True):
+        torch.testing.assert_close(one.detach(), other, rtol=1e-3, atol=2e-6)
+
+
+def test_an_update_leaves_the_batch_as_it_was():
+    ppo = learner(epochs=1)
+    data = batch(ppo.actor)
+    before = data.clone()
+    ppo.update(data)
+    assert set(data.keys(True, True)) == set(before.keys(True, True))
+    assert all(torch.equal(data[key], before[key]) for key in before.keys(True, True))
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
@@ -121,11 +234,24 @@ def test_an_update_ends_before_a_step_that_is_not_finite(bad, monkeypatch):
     ppo = learner(minibatches=1)
     steps, data = count_steps(ppo, monkeypatch), batch(ppo.actor)
     data["next", "reward"][3] = bad
-    before = [value.clone() for value in ppo.loss.parameters()]
+    before = [value.clone() for value in ppo.objective.parameters]
     with pytest.raises(TrainingDiverged, match=r"^(objective|critic|gradient) is (nan|inf)$"):
         ppo.update(data)
     assert not steps
-    assert all(torch.equal(a, b) for a, b in zip(before, ppo.loss.parameters(), strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(before, ppo.objective.parameters, strict=True))
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_where_the_host_may_not_look_a_step_that_is_not_finite_is_left_out_and_told_after_the_pass(bad, monkeypatch):
+    monkeypatch.setattr("ppt_rl.training.ppo.is_readable", lambda value: False)
+    ppo = learner(epochs=3, minibatches=2)
+    data = batch(ppo.actor)
+    data["next", "reward"][3] = bad
+    steps = count_steps(ppo, monkeypatch)
+    with pytest.raises(TrainingDiverged, match=r"^(objective|critic|gradient) is (nan|inf)$"):
+        ppo.update(data)
+    assert len(steps) == 2
+    assert all(value.isfinite().all() for value in ppo.objective.parameters)
 
 
 def test_a_step_that_makes_a_network_infinite_is_named(monkeypatch):
