@@ -1,12 +1,10 @@
-"""Forward kinematics, geometric Jacobian and inverse kinematics of an arm, on pytorch-kinematics."""
+"""Forward kinematics, geometric Jacobian and inverse kinematics of an arm."""
 
 from __future__ import annotations
 
 import math
 
-import pytorch_kinematics as pk
 import torch
-from pytorch_kinematics.frame import Frame, Joint, Link
 from torch import Tensor, nn
 
 from ppt_rl.arms import Arm
@@ -41,21 +39,6 @@ def _offsets(arm: Arm, tool_length: float) -> Tensor:
     offsets[-1, :3, :3] = _turn_z(arm.chain.tool_turn)
     offsets[-1, 2, 3] = arm.chain.flange + tool_length
     return offsets
-
-
-def _chain(arm: Arm, offsets: Tensor) -> pk.SerialChain:
-    """The serial chain of joints and tool, built through pytorch-kinematics' Frame, Link and Joint classes."""
-    f64 = torch.float64
-    base = Frame("base", link=Link("base"), joint=Joint("base_fixed", dtype=f64))
-    parent = base
-    *joints, tip = (pk.Transform3d(matrix=offset, dtype=f64) for offset in offsets)
-    for i, (offset, limits) in enumerate(zip(joints, arm.joints.position_limits, strict=True), start=1):
-        joint = Joint(f"joint{i}", offset, "revolute", (0.0, 0.0, 1.0), dtype=f64, limits=tuple(limits))
-        child = Frame(f"link{i}", link=Link(f"link{i}"), joint=joint)
-        parent.add_child(child)
-        parent = child
-    parent.add_child(Frame("tool", link=Link("tool"), joint=Joint("tool_fixed", tip, "fixed", dtype=f64)))
-    return pk.SerialChain(pk.Chain(base, dtype=f64), "tool", dtype=f64)
 
 
 def _inertials(arm: Arm) -> tuple[Tensor, Tensor, Tensor]:
@@ -103,10 +86,14 @@ class Kinematics(nn.Module):
         self._build()
 
     def _build(self) -> None:
-        """Build chain and offsets in the precision and on the device of the anchor."""
-        offsets = _offsets(self.arm, self.tool_length)
-        self._chain = _chain(self.arm, offsets).to(dtype=self._anchor.dtype, device=self._anchor.device)
-        self._offsets = offsets.to(self._anchor)
+        """Build the offsets in the precision and on the device of the anchor."""
+        self._offsets = _offsets(self.arm, self.tool_length).to(self._anchor)
+        # A joint's pose in the frame before it is fixed + cos(q) even + sin(q) odd, (n, 1, 4, 4) each.
+        x, y, z, origin = self._offsets[:-1].unsqueeze(1).unbind(-1)
+        zero = torch.zeros_like(x)
+        self._even, self._odd = torch.stack([x, y, zero, zero], -1), torch.stack([y, -x, zero, zero], -1)
+        self._fixed = torch.stack([zero, zero, z, origin], -1)
+        self._base = torch.eye(4, dtype=self._anchor.dtype, device=self._anchor.device)
 
     def forward(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
         """Compute pose and Jacobian together.
@@ -221,25 +208,21 @@ class Kinematics(nn.Module):
             self._build()
         batch = joint_position.shape[:-1]
         frames = self._frames(joint_position.reshape(-1, count).to(self._anchor.dtype))
-        jacobian, matrix = self._chain.jacobian_tensor(None, ret_eef_pose=True, all_transforms=frames)
-        return jacobian.reshape(*batch, 6, count).contiguous(), matrix.reshape(*batch, 4, 4)
+        tip, joints = frames[-1], frames[1:-1, :, :3]  # (B, 4, 4) and (n, B, 3, 4)
+        axis, origin = joints[..., 2], joints[..., 3]
+        linear = torch.linalg.cross(axis, tip[:, :3, 3] - origin)
+        jacobian = torch.cat([linear, axis], -1).permute(1, 2, 0)  # (B, 6, n)
+        return jacobian.reshape(*batch, 6, count).contiguous(), tip.reshape(*batch, 4, 4)
 
     def _frames(self, joint_position: Tensor) -> Tensor:
         """``(n + 2, B, 4, 4)`` poses in world of the base, the links and the tool, in this order.
 
-        The product along the chain is written out for joints about z. The chain's own forward kinematics walks a
-        general tree, frame by frame, at four times the cost, and the double backward of its analytical gradient is
-        wrong.
+        The product along the chain is written out for joints about z.
         """
-        batch, count = joint_position.shape
-        angle = joint_position.mT.unsqueeze(-1)  # (n, B, 1)
-        cos, sin = angle.cos(), angle.sin()
-        x, y, z, origin = self._offsets[:-1].unsqueeze(1).unbind(-1)  # (n, 1, 4) each
-        columns = [cos * x + sin * y, cos * y - sin * x, z.expand(count, batch, 4), origin.expand(count, batch, 4)]
-        base = torch.eye(4, dtype=angle.dtype, device=angle.device).expand(batch, 4, 4)
-        first, *others = torch.stack(columns, -1).unbind(0)
-        frames = [base, first]
+        angle = joint_position.mT[..., None, None]  # (n, B, 1, 1)
+        first, *others = (angle.cos() * self._even + angle.sin() * self._odd + self._fixed).unbind(0)
+        frames = [self._base.expand_as(first), first]
         for offset in others:
-            frames.append(frames[-1] @ offset)
+            frames.append(torch.bmm(frames[-1], offset))
         frames.append(frames[-1] @ self._offsets[-1])
         return torch.stack(frames)
