@@ -45,7 +45,7 @@ class Config:
         epochs: passes over the batch.
         minibatches: minibatches in a pass.
         repeats: updates of each, in turn.
-        threads: threads of rsl_rl's torch; 0 takes one for each CPU. Ours chooses for itself.
+        threads: threads of both, rsl_rl's those of torch; 0 takes one for each CPU.
         busy: whether to measure beside a busy process too.
         device: device of batch and networks.
         json: print one line of JSON only.
@@ -90,7 +90,7 @@ def ours(run: Config) -> Update:
     config = PPOConfig(
         epochs=run.epochs, minibatches=run.minibatches, target_kl=1e9, gamma=0.99, max_learning_rate=3e-4
     )
-    learner, batch = Learner(actor, critic, config), make_batch(run, actor)
+    learner, batch = Learner(actor, critic, config, run.threads or None), make_batch(run, actor)
 
     def update() -> None:
         learner.update(batch.copy())

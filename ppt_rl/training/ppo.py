@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -19,6 +20,9 @@ from ppt_rl.training.objective import Objective, ValueLoss, gaussian_divergence,
 from ppt_rl.training.shards import Shards
 
 __all__ = ["Learner", "PPOConfig"]
+
+#: Most rows of which the divergence after a pass is computed.
+_JUDGED = 2048
 
 
 @dataclass(frozen=True)
@@ -186,16 +190,18 @@ class Learner:
     def _divergence(self, batch: TensorDictBase) -> Tensor:
         """Mean KL divergence from the policy that acted to the present one, exact for Gaussians.
 
-        A sample mean of a hundred actions has a noise that is larger than the target.
+        A sample mean of a hundred actions has a noise that is larger than the target. Of a batch of more than 2,048
+        rows, that many stand for all, taken at equal distances: the mean of so many is known to a few percent, and to
+        evaluate the policy on all of them after each pass would take a sixth of the update.
         """
 
         def divergence(part: Tensor) -> Tensor:
             with torch.no_grad():  # each thread has a mode of its own
-                rows = batch[part] if len(part) < len(batch) else batch
+                rows = batch[part]
                 return gaussian_divergence((rows["loc"], rows["scale"]), self.objective.moments(rows)).sum()
 
-        parts = self._shards(divergence, torch.arange(len(batch), device=batch.device))
-        return torch.stack(parts).sum() / len(batch)
+        rows = torch.arange(0, len(batch), math.ceil(len(batch) / _JUDGED), device=batch["loc"].device)
+        return torch.stack(self._shards(divergence, rows)).sum() / len(rows)
 
 
 def _standardised_in(advantage: Tensor, minibatches: Sequence[Tensor]) -> Tensor:
