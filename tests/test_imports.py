@@ -122,7 +122,3 @@ def test_no_package_imports_itself_by_way_of_another():
 def test_the_simulator_is_imported_by_the_environments_only(library):
     assert users(library)
     assert all(path.startswith("ppt_rl/envs/") for path in users(library))
-
-
-def test_pytorch_kinematics_is_imported_by_the_kinematics_only():
-    assert users("pytorch_kinematics") == {"ppt_rl/modules/kinematics.py"}

@@ -153,7 +153,7 @@ def joint_torque(jacobian: Tensor, wrench: Tensor) -> Tensor:
     require_last_dim("wrench", wrench, 6)
     if jacobian.shape[:-2] != wrench.shape[:-1]:
         require_same_batch(**{"jacobian[..., 0]": jacobian[..., 0], "wrench": wrench})
-    return (wrench.unsqueeze(-2) @ jacobian).squeeze(-2)
+    return _product(wrench.unsqueeze(-2), jacobian).squeeze(-2)
 
 
 def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping: float = 0.02) -> Tensor:
@@ -183,11 +183,11 @@ def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping:
     require_last_dim("torque", torque, jacobian.shape[-1])
     require_last_dim("inertia", inertia, jacobian.shape[-1])
     weighted = jacobian / inertia  # J M^-1
-    gram = weighted @ jacobian.mT
+    gram = _product(weighted, jacobian.mT)
     gram.diagonal(dim1=-2, dim2=-1).add_(damping**2)
     factor, _ = torch.linalg.cholesky_ex(gram)  # positive definite by construction, so no check that synchronises
-    solved = _solve(factor, weighted @ torque.unsqueeze(-1))
-    return torque - (jacobian.mT @ solved).squeeze(-1)
+    solved = _solve(factor, _product(weighted, torque.unsqueeze(-1)))
+    return torque - _product(jacobian.mT, solved).squeeze(-1)
 
 
 def _solve(factor: Tensor, right: Tensor) -> Tensor:
@@ -215,3 +215,8 @@ def power(effort: Tensor, flow: Tensor) -> Tensor:
     require_last_dim("flow", flow, effort.shape[-1])
     require_same_batch(effort=effort, flow=flow)
     return (effort * flow).sum(-1, keepdim=True)
+
+
+def _product(one: Tensor, other: Tensor) -> Tensor:
+    """``one @ other``; for one and the same batch without the views that ``@`` makes, which cost more than it does."""
+    return torch.bmm(one, other) if one.ndim == other.ndim == 3 and len(one) == len(other) else one @ other

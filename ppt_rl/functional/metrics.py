@@ -33,10 +33,11 @@ METRICS = (
 
 # The memory: sums, maxima, first and last contact, state of the filter, the last two velocities, histogram of force.
 _COUNT, _OVERLOAD, _CONTACT, _JERK, _WORK, _POWER, _MEASURED, _FIRST, _LAST = range(9)
-_SUMS, _MAXIMA = slice(0, 5), slice(5, 7)
 _Z1, _Z2, _V1, _V2 = slice(9, 15), slice(15, 21), slice(21, 24), slice(24, 27)
 _BINS = 256
 _HISTOGRAM = slice(27, 27 + _BINS)
+#: Sizes of the parts of the memory: sums, maxima, first and last contact, state of the filter, velocities, histogram.
+_PARTS = (5, 2, 1, 1, 6, 6, 3, 3, _BINS)
 #: Width of the packed memory.
 MEMORY_SIZE = 27 + _BINS
 #: First edge of the histogram [N] and its range in decades: 256 logarithmic bins, each 3.7 % wide.
@@ -139,23 +140,24 @@ def update_metrics(
     require_same_batch(memory=memory, twist=twist, wrench=wrench, power=power)
     b0, b1, b2, a1, a2 = low_pass(config.cutoff, dt)
     x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
-    y = torch.add(memory[..., _Z1], x, alpha=b0)
-    z1 = memory[..., _Z2].add(x, alpha=b1).add_(y, alpha=-a1)
+    sums, maxima, first, last, z1, z2, v1, v2, histogram = memory.split(_PARTS, -1)
+    y = torch.add(z1, x, alpha=b0)
+    z1 = z2.add(x, alpha=b1).add_(y, alpha=-a1)
     z2 = (b2 * x).add_(y, alpha=-a2)
-    velocity, force = y[..., :3], torch.linalg.vector_norm(y[..., 3:], dim=-1, keepdim=True)
-    v1 = memory[..., _V1]
-    jerk = torch.add(velocity, v1, alpha=-2).add_(memory[..., _V2]) / dt**2  # [m/s^3]
+    velocity, filtered = y.split(3, -1)
+    force = torch.linalg.vector_norm(filtered, dim=-1, keepdim=True)
+    jerk = torch.add(velocity, v1, alpha=-2).add_(v2) / dt**2  # [m/s^3]
     measured = (twist * wrench).sum(-1, keepdim=True).abs()  # [W]
     contact = force > config.contact_force
-    count, first, last = memory[..., :1], memory[..., _FIRST : _FIRST + 1], memory[..., _LAST : _LAST + 1]
+    count = sums[..., :1]
     first = torch.where(contact & (first < 0), count, first)
     last = torch.where(contact, count, last)
     flags = torch.cat([torch.ones_like(contact), measured > config.p_max, contact], -1).to(x.dtype)
     power = power.abs()  # [W]
-    sums = memory[..., _SUMS] + torch.cat([flags, jerk.square_().sum(-1, keepdim=True), dt * power], -1)
-    maxima = torch.maximum(memory[..., _MAXIMA], torch.cat([power, measured], -1))
+    sums = sums + torch.cat([flags, jerk.square_().sum(-1, keepdim=True), dt * power], -1)
+    maxima = torch.maximum(maxima, torch.cat([power, measured], -1))
     index = torch.bucketize(force, _bin_edges(force.dtype, force.device), right=True)
-    histogram = memory[..., _HISTOGRAM].scatter_add(-1, index, torch.ones_like(force))
+    histogram = histogram.scatter_add(-1, index, torch.ones_like(force))
     return torch.cat([sums, maxima, first, last, z1, z2, velocity, v1, histogram], -1)
 
 

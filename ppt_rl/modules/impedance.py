@@ -98,6 +98,16 @@ class CartesianImpedanceController(nn.Module):
         ratio, inertia = self._gain("damping_ratio"), self._gain("inertia")
         return critical_damping(stiffness, ratio.to(stiffness.dtype), inertia.to(stiffness.dtype))
 
+    def _constant_gains(self, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+        """Stiffness and damping ``(6,)`` that nobody learns, computed anew where what they follow from has changed."""
+        logs = tuple(self._buffers.values())
+        source = (dtype, *(log._version for log in logs))  # type: ignore[union-attr]
+        known = self.__dict__.get("_known_gains")
+        if known is None or known[0] != source or any(a is not b for a, b in zip(known[1], logs, strict=True)):
+            stiffness = self.stiffness.to(dtype)
+            known = self.__dict__["_known_gains"] = source, logs, (stiffness, self._damping(stiffness).to(dtype))
+        return known[2]
+
     def forward(
         self,
         pose: Tensor,
@@ -125,6 +135,8 @@ class CartesianImpedanceController(nn.Module):
             ValueError: if a last dimension is wrong.
         """
         require_last_dim("pose", pose, 7)
+        if stiffness is None and damping is None and not self._parameters and not torch.compiler.is_compiling():
+            stiffness, damping = self._constant_gains(pose.dtype)
         stiffness = self.stiffness.to(pose.dtype) if stiffness is None else stiffness
         damping = self._damping(stiffness).to(pose.dtype) if damping is None else damping
         return cartesian_impedance(pose, twist, reference_pose, reference_twist, stiffness, damping)

@@ -39,6 +39,7 @@ class RunConfig:
         num_envs: number of environments that step together.
         num_threads: physics threads; 0 takes one per CPU.
         torch_threads: threads of torch during the simulation; its tensors are small, so more than one gains nothing.
+        update_threads: threads of an update of PPO; 0 takes one per CPU, and fewer for a small batch.
         validate_every: batches from one validation of the deterministic policy to the next; 0 validates never.
         validation_episodes: episodes of a validation, the same ones every time; 0 takes one of each environment.
         ppo: settings of PPO.
@@ -54,6 +55,7 @@ class RunConfig:
     num_envs: int = 128
     num_threads: int = 0
     torch_threads: int = 1
+    update_threads: int = 0
     validate_every: int = 0
     validation_episodes: int = 0
     ppo: PPOConfig = field(default_factory=PPOConfig)
@@ -72,6 +74,7 @@ class RunConfig:
         "num_envs": Bounds(1, 16_384),
         "num_threads": Bounds(0, 1024),
         "torch_threads": Bounds(1, 1024),
+        "update_threads": Bounds(0, 1024),
         "validate_every": Bounds(0, 10**9, "batches"),
         "validation_episodes": Bounds(0, 1_000_000),
         "batch_steps": Bounds(1, 100_000, "policy steps"),

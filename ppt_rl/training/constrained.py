@@ -8,11 +8,11 @@ import torch
 from tensordict import TensorDictBase
 from torch import nn
 from torchrl.modules import ProbabilisticActor
-from torchrl.objectives import ClipPPOLoss
 
 from ppt_rl.functional.lagrangian import penalised
 from ppt_rl.training.finite import require_finite_update
-from ppt_rl.training.lagrangian import Constraint, EpisodeCosts, LagrangianPPOLoss, cost_of
+from ppt_rl.training.lagrangian import Constraint, EpisodeCosts, cost_of
+from ppt_rl.training.objective import ValueLoss
 from ppt_rl.training.ppo import Learner, PPOConfig
 
 __all__ = ["ConstrainedLearner"]
@@ -34,11 +34,15 @@ class ConstrainedLearner(Learner):
         critic: value network.
         config: settings.
         constraint: limit, multiplier, value network of the cost and its key.
+        threads: as for :class:`Learner`.
     """
 
-    def __init__(self, actor: ProbabilisticActor, critic: nn.Module, config: PPOConfig, constraint: Constraint) -> None:
+    def __init__(
+        self, actor: ProbabilisticActor, critic: nn.Module, config: PPOConfig, constraint: Constraint,
+        threads: int | None = None,
+    ) -> None:  # fmt: skip
         self.constraint = constraint
-        super().__init__(actor, critic, config)
+        super().__init__(actor, critic, config, threads)
         self.cost_advantage = None
         if constraint.cost_critic is not None:
             self.cost_advantage = self._estimator(
@@ -58,15 +62,18 @@ class ConstrainedLearner(Learner):
         """What a checkpoint holds of the learner, by name."""
         return super().components | {"multiplier": self.constraint.multiplier}
 
-    def _make_loss(self, **settings: Any) -> ClipPPOLoss:
-        cost_critic, multiplier = self.constraint.cost_critic, self.constraint.multiplier
-        if cost_critic is None:
-            return super()._make_loss(**settings)
-        return LagrangianPPOLoss(self.actor, self.critic, cost_critic, multiplier, **settings)
+    def _values(self) -> list[ValueLoss]:
+        cost_critic = self.constraint.cost_critic
+        own = (
+            []
+            if cost_critic is None
+            else [ValueLoss("loss_cost_critic", cost_critic, "cost_value", "cost_value_target")]
+        )
+        return [*super()._values(), *own]
 
     def _clipped(self) -> list[list[nn.Parameter]]:
         """The cost critic has a bound of its own, so that at a multiplier of zero it changes nothing of the others."""
-        cost_critic, everything = self.constraint.cost_critic, list(self.loss.parameters())
+        cost_critic, everything = self.constraint.cost_critic, self.objective.parameters
         own = set() if cost_critic is None else set(cost_critic.parameters())
         groups = [[each for each in everything if (each in own) == apart] for apart in (False, True)]
         return [group for group in groups if group]
@@ -98,9 +105,12 @@ class ConstrainedLearner(Learner):
     @torch.no_grad()
     def _with_advantage(self, batch: TensorDictBase) -> TensorDictBase:
         constraint = self.constraint
+        multiplier = constraint.multiplier()
         if self.cost_advantage is not None:
-            return super()._with_advantage(self.cost_advantage(batch))
-        following = batch["next"].clone(False)
-        cost = cost_of(batch, constraint.cost_key)
-        following["reward"] = penalised(following["reward"], cost, constraint.multiplier())
-        return super()._with_advantage(batch.clone(False).set("next", following))
+            batch = self.cost_advantage(batch.copy().set("next", batch["next"].copy()))
+            cost_advantage = batch["cost_advantage"].reshape(-1, 1)
+            flat = super()._with_advantage(batch)
+            return flat.set("advantage", penalised(flat["advantage"], cost_advantage, multiplier))
+        following = batch["next"].copy()
+        following["reward"] = penalised(following["reward"], cost_of(batch, constraint.cost_key), multiplier)
+        return super()._with_advantage(batch.copy().set("next", following))

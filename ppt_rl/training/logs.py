@@ -33,7 +33,7 @@ __all__ = [
 
 #: A complete line of a CSV file of scalars.
 _LINE = re.compile(r"(\d+),([-+.\w]+)\n")
-_PACKAGES = ("ppt_rl", "torch", "torchrl", "tensordict", "mujoco", "dm_control", "pytorch_kinematics", "numpy")
+_PACKAGES = ("ppt_rl", "torch", "torchrl", "tensordict", "mujoco", "dm_control", "numpy")
 
 
 class RunLogs:

@@ -80,9 +80,9 @@ def train_ppo(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: T
 def _learner(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: TrainingRun) -> Learner:
     """PPO, under the run's limit on a cost where it has one."""
     if run.constraint is None:
-        return Learner(actor, critic, run.ppo)
+        return Learner(actor, critic, run.ppo, run.update_threads)
     require_cost(env, run.constraint.cost_key)
-    return ConstrainedLearner(actor, critic, run.ppo, run.constraint)
+    return ConstrainedLearner(actor, critic, run.ppo, run.constraint, run.update_threads)
 
 
 def _collector(env: EnvBase, actor: ProbabilisticActor, policy_steps: int) -> Collector:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -12,18 +11,18 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
-from torchrl.objectives import ClipPPOLoss, KLAdaptiveLR
-from torchrl.objectives.value import GAE
+from torchrl.objectives import KLAdaptiveLR
 
-from ppt_rl.functional.checks import Bounds, require_bounds
+from ppt_rl.functional.checks import Bounds, is_readable, require_bounds
+from ppt_rl.training.advantage import AdvantageEstimator
 from ppt_rl.training.finite import TrainingDiverged, first_not_finite, require_finite_update
+from ppt_rl.training.objective import Objective, ValueLoss, gaussian_divergence, standardised, summed
+from ppt_rl.training.shards import Shards
 
 __all__ = ["Learner", "PPOConfig"]
 
-#: Losses that an update adds up, where the loss has them.
-_LOSSES = ("loss_objective", "loss_critic", "loss_entropy", "loss_cost_critic")
-#: Number of policy steps in a batch from which an update uses every CPU.
-_LARGE = 4096
+#: Most rows of which the divergence after a pass is computed.
+_JUDGED = 2048
 
 
 @dataclass(frozen=True)
@@ -78,34 +77,27 @@ class PPOConfig:
         require_bounds(self, self.bounds)
 
 
-@contextmanager
-def _threads(count: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
 class Learner:
     """Losses, optimizer and learning-rate schedule of one run.
+
+    An update of a batch on a GPU copies nothing to the host but the divergence and the losses of each pass.
 
     Args:
         actor: policy; its distribution is Gaussian with ``loc`` and ``scale`` in the batch.
         critic: value network.
         config: settings.
+        threads: threads of an update on the CPU; None takes one for each CPU. Few rows take fewer.
     """
 
-    def __init__(self, actor: ProbabilisticActor, critic: nn.Module, config: PPOConfig) -> None:
+    def __init__(
+        self, actor: ProbabilisticActor, critic: nn.Module, config: PPOConfig, threads: int | None = None
+    ) -> None:
         self.actor, self.critic, self.config = actor, critic, config
         self.advantage = self._estimator(critic)
-        self.loss = self._make_loss(
-            clip_epsilon=config.clip, entropy_bonus=config.entropy > 0, entropy_coeff=config.entropy,
-            critic_coeff=1.0, normalize_advantage=True, loss_critic_type="smooth_l1",
-        )  # fmt: skip
-        self.optimizer = torch.optim.Adam(self.loss.parameters(), lr=config.learning_rate, eps=1e-5)
+        self.objective = Objective(actor, self._values(), clip=config.clip, entropy=config.entropy)
+        self.optimizer = torch.optim.Adam(self.objective.parameters, lr=config.learning_rate, eps=1e-5, fused=True)
         self.schedule = KLAdaptiveLR(self.optimizer, config.target_kl, max_lr=config.max_learning_rate)
+        self._shards = Shards(threads)
 
     @property
     def networks(self) -> dict[str, nn.Module]:
@@ -117,22 +109,18 @@ class Learner:
         """What a checkpoint holds of the learner, by name."""
         return {**self.networks, "optimizer": self.optimizer, "schedule": self.schedule}
 
-    def _make_loss(self, **settings: Any) -> ClipPPOLoss:
-        return ClipPPOLoss(self.actor, self.critic, **settings)
+    def _values(self) -> list[ValueLoss]:
+        return [ValueLoss("loss_critic", self.critic)]
 
-    def _estimator(self, critic: nn.Module, **keys: Any) -> GAE:
+    def _estimator(self, critic: nn.Module, **keys: Any) -> AdvantageEstimator:
         """An estimator of advantages; it reads and writes the usual entries, but for those that are named."""
-        config = self.config
-        estimator = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=critic, average_gae=False)
-        # A step-wise batch has no such entry: then every policy step is one control step.
-        estimator.set_keys(steps_to_next_obs=("next", "control_steps"), **keys)
-        return estimator
+        return AdvantageEstimator(critic, self.config.gamma, self.config.gae_lambda, **keys)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Improve actor and critic on one batch; stop early once the policy has moved far enough.
 
         Args:
-            batch: what the collector returned.
+            batch: what the collector returned; it stays as it was.
 
         Returns:
             Mean losses, the divergence from the policy that acted [nat] and the learning rate.
@@ -140,14 +128,16 @@ class Learner:
         Raises:
             TrainingDiverged: before a step that is not finite.
         """
-        with _threads(len(os.sched_getaffinity(0)) if batch.numel() > _LARGE else torch.get_num_threads()):
+        with self._shards.alone():
             return self._improve(self._with_advantage(batch))
 
     def _improve(self, batch: TensorDictBase) -> dict[str, float]:
         config, steps = self.config, []
         for _ in range(config.epochs):
-            for rows in torch.randperm(len(batch)).chunk(config.minibatches):
-                steps.append(self._step(batch[rows]))
+            minibatches = torch.randperm(len(batch)).to(batch["advantage"].device).chunk(config.minibatches)
+            scaled = batch.copy().set("advantage", _standardised_in(batch["advantage"], minibatches))
+            steps += [self._step(scaled, rows) for rows in minibatches]
+            self._require_finite_steps(steps[-len(minibatches) :])
             self._require_finite_networks()
             divergence = self._divergence(batch)
             require_finite_update(divergence=divergence)
@@ -156,43 +146,67 @@ class Learner:
                 break
         rate = self.optimizer.param_groups[0]["lr"]
         means = {name: float(torch.stack([step[name] for step in steps]).mean()) for name in steps[0]}
+        del means["gradient"]
         return {**means, "kl": float(divergence), "learning_rate": rate}
 
-    def _step(self, rows: TensorDictBase) -> Mapping[str, Tensor]:
-        """One step of the optimizer; returns its losses."""
-        losses = self.loss(rows)
-        parts = {name: losses[name] for name in _LOSSES if name in losses.keys()}
-        self.optimizer.zero_grad()
-        sum(parts.values(), torch.zeros(())).backward()
+    def _step(self, batch: TensorDictBase, rows: Tensor) -> dict[str, Tensor]:
+        """One step of the optimizer; returns its losses and the norm of its gradient."""
+        found = self._shards(lambda part: self.objective.gradients(batch[part], len(part) / len(rows)), rows)
+        losses = summed([losses for losses, _ in found])
+        for parameter, *parts in zip(self.objective.parameters, *(each for _, each in found), strict=True):
+            parameter.grad = None if parts[0] is None else sum(parts[1:], parts[0])
         norms = [nn.utils.clip_grad_norm_(group, self.config.max_grad_norm) for group in self._clipped()]
-        parts = {name: loss.detach() for name, loss in parts.items()}
-        named = {name.removeprefix("loss_"): loss for name, loss in parts.items()}
-        require_finite_update(**named, gradient=torch.stack(norms).sum())
+        losses["gradient"] = torch.stack(norms).sum()
+        if is_readable(losses["gradient"]):
+            self._require_finite_steps([losses])
+        else:  # left out on the device; the host is told after the pass
+            vars(self.optimizer)["found_inf"] = 1.0 - torch.stack(list(losses.values())).sum().isfinite().float()
         self.optimizer.step()
-        return parts
+        return losses
 
     def _clipped(self) -> list[list[nn.Parameter]]:
         """Groups of parameters, of which each has a bound on the norm of its gradient."""
-        return [list(self.loss.parameters())]
+        return [self.objective.parameters]
 
     def _require_finite_networks(self) -> None:
+        if torch.stack([each.detach().sum() for each in self.objective.parameters]).sum().isfinite():
+            return
         broken = first_not_finite(self.networks)
         if broken is not None:
             raise TrainingDiverged(f"{broken} is not finite")
 
+    @staticmethod
+    def _require_finite_steps(steps: Sequence[Mapping[str, Tensor]]) -> None:
+        for step in torch.stack([torch.stack(list(step.values())) for step in steps]).cpu():
+            require_finite_update(**{n.removeprefix("loss_"): v for n, v in zip(steps[0], step, strict=True)})
+
     @torch.no_grad()
     def _with_advantage(self, batch: TensorDictBase) -> TensorDictBase:
-        """A flat batch of the entries that the loss reads; a step-wise batch is large, so the rest is dropped."""
-        batch = self.advantage(batch)
-        keys = {"loc", "scale", "advantage", "value_target", *self.loss.in_keys}
-        return batch.select(*keys, strict=False).reshape(-1)
+        """A flat batch of the entries that the losses read; a step-wise batch is large, so the rest is dropped."""
+        batch = self.advantage(batch.copy().set("next", batch["next"].copy()))
+        return batch.select("loc", "scale", *self.objective.in_keys, strict=False).reshape(-1)
 
     @torch.no_grad()
     def _divergence(self, batch: TensorDictBase) -> Tensor:
         """Mean KL divergence from the policy that acted to the present one, exact for Gaussians.
 
-        The loss's own ``kl_approx`` is a sample mean: with a hundred actions its noise is larger than the target.
+        A sample mean of a hundred actions has a noise that is larger than the target. Of a batch of more than 2,048
+        rows, that many stand for all, taken at equal distances: the mean of so many is known to a few percent, and to
+        evaluate the policy on all of them after each pass would take a sixth of the update.
         """
-        old = torch.distributions.Normal(batch["loc"], batch["scale"])
-        acting = self.actor.get_dist(batch.select(*self.actor.in_keys))
-        return torch.distributions.kl_divergence(old, acting.base_dist).sum(-1).mean()
+
+        def divergence(part: Tensor) -> Tensor:
+            with torch.no_grad():  # each thread has a mode of its own
+                rows = batch[part]
+                return gaussian_divergence((rows["loc"], rows["scale"]), self.objective.moments(rows)).sum()
+
+        rows = torch.arange(0, len(batch), math.ceil(len(batch) / _JUDGED), device=batch["loc"].device)
+        return torch.stack(self._shards(divergence, rows)).sum() / len(rows)
+
+
+def _standardised_in(advantage: Tensor, minibatches: Sequence[Tensor]) -> Tensor:
+    """Advantages ``(n, 1)`` that are standardised in each minibatch."""
+    scaled = torch.empty_like(advantage)
+    for rows in minibatches:
+        scaled[rows] = standardised(advantage[rows])
+    return scaled

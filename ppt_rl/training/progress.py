@@ -41,6 +41,7 @@ class TrainingRun:
         resume_from: checkpoint to continue from; None starts afresh.
         validation: when and how the policy is validated; None does without.
         constraint: limit on the cost of an episode; None leaves the reward alone.
+        update_threads: threads of an update on the CPU; None takes one for each CPU.
     """
 
     ppo: PPOConfig
@@ -51,6 +52,7 @@ class TrainingRun:
     resume_from: Path | None = None
     validation: Validation | None = None
     constraint: Constraint | None = None
+    update_threads: int | None = None
 
 
 class Progress:

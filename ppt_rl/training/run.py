@@ -23,7 +23,7 @@ from ppt_rl.training.validation import Validation
 __all__ = ["Learners", "train_in_run_dir"]
 
 #: Options that may differ between a run and its continuation: place, threads and budget.
-_FREE = {"run_dir", "resume", "num_threads", "torch_threads", "ppo.total_control_steps"}
+_FREE = {"run_dir", "resume", "num_threads", "torch_threads", "update_threads", "ppo.total_control_steps"}
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,7 @@ def train_in_run_dir(
             resume_from=resume_from,
             validation=validation,
             constraint=learners.constraint,
+            update_threads=config.update_threads or None,
         )
         return train_ppo(env, learners.actor, learners.critic, run)
 

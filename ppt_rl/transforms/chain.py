@@ -94,7 +94,7 @@ def transforms_after(transform: Transform) -> Iterator[Transform]:
         found = found or other is transform
 
 
-def step_inside(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
+def step_inside(env: EnvBase, tensordict: TensorDictBase, takes_over: bool = False) -> TensorDictBase:
     """One step of an environment: ``env._step``, but that a ``_step`` mask goes down as it is.
 
     ``TransformedEnv`` looks at the mask first, to skip a step of nobody and to drop a mask of everybody. On a GPU the
@@ -104,6 +104,7 @@ def step_inside(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
     Args:
         env: any environment.
         tensordict: root of the step.
+        takes_over: whether the transforms may write into this very tensordict, which nobody reads afterwards.
 
     Returns:
         What follows, as ``env._step`` returns it.
@@ -113,7 +114,7 @@ def step_inside(env: EnvBase, tensordict: TensorDictBase) -> TensorDictBase:
     if not env.batch_locked or isinstance(base_of(env), BatchedEnvBase):
         return env._step(tensordict)
     base, transform = env.base_env, env.transform
-    root = transform.inv(tensordict)
+    root = transform._inv_call(tensordict if takes_over else tensordict.copy())
     following = step_inside(base, root)
     base._complete_done(base.full_done_spec, following)
     return transform._step(root, following)

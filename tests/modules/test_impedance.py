@@ -140,3 +140,25 @@ def test_one_number_is_that_of_translation_and_rotation_gets_its_documented_shar
     assert_close(controller.stiffness, torch.tensor([400.0] * 3 + [30.0] * 3))
     assert_close(controller.damping, torch.tensor([40.0] * 3 + [3.0] * 3))
     assert_close(CartesianImpedanceController(400.0).damping, CartesianImpedanceController().damping)
+
+
+def test_gains_that_change_are_noticed():
+    controller = CartesianImpedanceController(stiffness=100.0)
+    pose, moved = torch.zeros(1, 7), torch.zeros(1, 7)
+    pose[0, 3] = moved[0, 3] = 1.0
+    moved[0, 0] = 0.1
+
+    def force():
+        return controller(pose, torch.zeros(1, 6).to(pose), moved, torch.zeros(1, 6).to(pose))[0, 0].item()
+
+    assert force() == pytest.approx(10.0)
+    controller.log_stiffness.add_(math.log(2.0))  # in place
+    assert force() == pytest.approx(20.0)
+    controller.load_state_dict(CartesianImpedanceController(stiffness=50.0).state_dict())
+    assert force() == pytest.approx(5.0)
+    controller.log_stiffness = torch.full((6,), math.log(30.0))  # another tensor
+    assert force() == pytest.approx(3.0)
+    pose, moved = pose.double(), moved.double()
+    assert force() == pytest.approx(3.0)
+    controller.double()
+    assert force() == pytest.approx(3.0)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from ppt_rl.arms import PANDA, Arm, arm_names, find_arm
+from ppt_rl.arms import FR3, PANDA, UR5E, Arm, arm_names, find_arm
 from ppt_rl.envs.models import CYLINDER, PADDLE, table_scene
 from ppt_rl.envs.mujoco_imports import mjcf, mujoco
 from ppt_rl.functional.rotations import quat_conjugate, quat_from_yaw, quat_multiply, quat_to_matrix
@@ -191,3 +191,15 @@ def test_the_inertia_matrix_agrees_with_mujoco(arm):
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, matrix.numpy())
     assert_close(own, true, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("arm", [PANDA, FR3, UR5E], ids=lambda arm: arm.name)
+def test_pose_and_jacobian_are_those_of_the_chain_of_pytorch_kinematics(arm):
+    kinematics = Kinematics(arm, tool_length=0.15, dtype=torch.float64)
+    low, high = torch.tensor(arm.joints.position_limits, dtype=torch.float64).unbind(-1)
+    joints = low + (high - low) * torch.rand(64, arm.num_joints, dtype=torch.float64)
+    pose, jacobian = kinematics(joints)
+    matrix = kinematics.chain.forward_kinematics(joints).get_matrix()
+    assert_close(pose[:, :3], matrix[:, :3, 3], rtol=0, atol=1e-12)
+    assert_close(quat_to_matrix(pose[:, 3:]), matrix[:, :3, :3], rtol=0, atol=1e-12)
+    assert_close(jacobian, kinematics.chain.jacobian(joints), rtol=0, atol=1e-12)

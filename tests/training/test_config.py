@@ -15,8 +15,9 @@ from ppt_rl.training import PPOConfig, RunConfig, as_json, from_json, preset_opt
 
 #: Numbers that let a training hang or exhaust the memory.
 ABSURD = {
-    "num_envs": 10**9, "num_threads": 10**6, "torch_threads": 10**6, "batch_steps": 10**9, "num_basis": 10**9,
-    "replan_steps": 10**9, "duration": 1e9, "training_duration": 1e9, "physics_dt": 1e-9, "control_dt": 1e-9,
+    "num_envs": 10**9, "num_threads": 10**6, "torch_threads": 10**6, "update_threads": 10**6,
+    "batch_steps": 10**9, "num_basis": 10**9, "replan_steps": 10**9, "duration": 1e9,
+    "training_duration": 1e9, "physics_dt": 1e-9, "control_dt": 1e-9,
     "promp_duration": 1e9, "seed": 2**40,
 }  # fmt: skip
 #: Numbers of which None takes the default of the goal, or of the cost.

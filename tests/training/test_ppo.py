@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import threading
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -64,11 +66,11 @@ def test_the_divergence_is_zero_before_an_update_and_positive_after():
 
 
 def count_steps(ppo, monkeypatch):
-    """A list that grows with every step of the optimizer, by the number of torch's threads."""
+    """A list that grows with every step of the optimizer."""
     steps, step = [], ppo.optimizer.step
 
     def spy(*args, **kwargs):
-        steps.append(torch.get_num_threads())
+        steps.append(len(steps))
         return step(*args, **kwargs)
 
     monkeypatch.setattr(ppo.optimizer, "step", spy)
@@ -90,30 +92,81 @@ def test_the_learning_rate_falls_when_the_policy_moves_too_far_and_rises_when_it
     assert low < 1e-4 < high
 
 
-@pytest.mark.parametrize(("count", "inside"), [(4097, 3), (256, 1)])
-def test_a_large_batch_is_learnt_on_every_cpu_and_the_threads_are_given_back(count, inside, monkeypatch):
-    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1, 2})
-    assert torch.get_num_threads() == 1
-    ppo = learner(epochs=1, minibatches=1)
-    steps = count_steps(ppo, monkeypatch)
-    ppo.update(batch(ppo.actor, count))
-    assert steps == [inside]
-    assert torch.get_num_threads() == 1
+@pytest.mark.parametrize(
+    ("threads", "count", "parts", "used"), [(2, 2048, 2, 2), (2, 256, 1, 1), (3, 8192, 8, 3), (None, 8192, 8, 4)]
+)
+def test_the_rows_of_a_large_minibatch_are_shared_among_threads(threads, count, parts, used, monkeypatch):
+    monkeypatch.setattr("os.sched_getaffinity", lambda pid: set(range(4)))
+    actor = make_actor(["observation"], 2, 2, initial_scale=0.5)
+    ppo = Learner(actor, make_critic(["observation"], 2), PPOConfig(epochs=1, minibatches=1), threads)
+    seen, gradients = [], ppo.objective.gradients
+
+    def spy(rows, share):
+        seen.append((threading.current_thread(), torch.get_num_threads(), len(rows)))
+        return gradients(rows, share)
+
+    monkeypatch.setattr(ppo.objective, "gradients", spy)
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        ppo.update(batch(ppo.actor, count))
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert len(seen) == parts
+    assert 1 <= len({thread for thread, *_ in seen}) <= used  # a quick one may take the work of another
+    assert {inside for _, inside, _ in seen} == {1}
+    assert sum(rows for *_, rows in seen) == count
 
 
-def test_the_threads_are_given_back_where_an_update_fails(monkeypatch):
-    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0, 1, 2})
-    ppo, threads = learner(), []
+def test_the_number_of_threads_changes_no_bit_of_an_update():
+    results = []
+    for threads in (1, 3):
+        torch.manual_seed(0)
+        actor = make_actor(["observation"], 2, 2, initial_scale=0.5)
+        config = PPOConfig(epochs=3, minibatches=2, target_kl=1e9)
+        ppo = Learner(actor, make_critic(["observation"], 2), config, threads)
+        results.append((ppo.update(batch(ppo.actor, 6144)), [value.detach() for value in ppo.objective.parameters]))
+    (told, ours), (also, theirs) = results
+    assert also == told
+    assert all(torch.equal(one, other) for one, other in zip(ours, theirs, strict=True))
+
+
+def test_the_divergence_of_a_large_batch_is_that_of_rows_at_equal_distances():
+    ppo = learner(epochs=1, learning_rate=2e-3)
+    data = batch(ppo.actor, 6144)
+    ppo.update(data)
+    flat = data.reshape(-1)
+    assert float(ppo._divergence(flat)) == pytest.approx(float(ppo._divergence(flat[::3])), rel=1e-5)
+    whole = [float(ppo._divergence(part)) for part in flat.chunk(3)]
+    assert float(ppo._divergence(flat)) == pytest.approx(sum(whole) / 3, rel=0.2)
+
+
+def test_the_threads_of_torch_are_given_back_where_an_update_fails(monkeypatch):
+    ppo, threads, before = learner(), [], torch.get_num_threads()
 
     def fail():
         threads.append(torch.get_num_threads())
         raise RuntimeError("no step")
 
     monkeypatch.setattr(ppo.optimizer, "step", fail)
-    with pytest.raises(RuntimeError, match="no step"):
-        ppo.update(batch(ppo.actor, 4097))
-    assert threads == [3]
-    assert torch.get_num_threads() == 1
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(RuntimeError, match="no step"):
+            ppo.update(batch(ppo.actor, 64))
+        assert threads == [1]
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_an_update_leaves_the_batch_as_it_was():
+    ppo = learner(epochs=1)
+    data = batch(ppo.actor)
+    before = data.clone()
+    ppo.update(data)
+    assert set(data.keys(True, True)) == set(before.keys(True, True))
+    assert all(torch.equal(data[key], before[key]) for key in before.keys(True, True))
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
@@ -121,11 +174,24 @@ def test_an_update_ends_before_a_step_that_is_not_finite(bad, monkeypatch):
     ppo = learner(minibatches=1)
     steps, data = count_steps(ppo, monkeypatch), batch(ppo.actor)
     data["next", "reward"][3] = bad
-    before = [value.clone() for value in ppo.loss.parameters()]
+    before = [value.clone() for value in ppo.objective.parameters]
     with pytest.raises(TrainingDiverged, match=r"^(objective|critic|gradient) is (nan|inf)$"):
         ppo.update(data)
     assert not steps
-    assert all(torch.equal(a, b) for a, b in zip(before, ppo.loss.parameters(), strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(before, ppo.objective.parameters, strict=True))
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_where_the_host_may_not_look_a_step_that_is_not_finite_is_left_out_and_told_after_the_pass(bad, monkeypatch):
+    monkeypatch.setattr("ppt_rl.training.ppo.is_readable", lambda value: False)
+    ppo = learner(epochs=3, minibatches=2)
+    data = batch(ppo.actor)
+    data["next", "reward"][3] = bad
+    steps = count_steps(ppo, monkeypatch)
+    with pytest.raises(TrainingDiverged, match=r"^(objective|critic|gradient) is (nan|inf)$"):
+        ppo.update(data)
+    assert len(steps) == 2
+    assert all(value.isfinite().all() for value in ppo.objective.parameters)
 
 
 def test_a_step_that_makes_a_network_infinite_is_named(monkeypatch):

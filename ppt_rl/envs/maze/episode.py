@@ -65,6 +65,7 @@ class MazeEpisodes(Episodes):
     Args:
         num_envs: number of environments.
         dtype: precision of the tensors.
+        device: where they are.
     """
 
     def _allocate(self) -> None:

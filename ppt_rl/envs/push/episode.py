@@ -87,6 +87,7 @@ class PushEpisodes(Episodes):
     Args:
         num_envs: number of environments.
         dtype: precision of the tensors.
+        device: where they are.
     """
 
     def _allocate(self) -> None:
