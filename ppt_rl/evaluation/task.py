@@ -96,6 +96,7 @@ class Pictures:
         trace: further observations to record at every control step.
         every: control steps between two frames of a video.
         speed: of the video, relative to real time.
+        cameras: cameras of the video, side by side.
         draw_episode: draws one recorded episode: called with the policy, the bare environment, the episode (without a
             batch dimension; it is that of the first environment) and the path of the picture.
         draw_study: draws the figures that only this task has: called with the runs by label and the directory.
@@ -107,6 +108,7 @@ class Pictures:
     trace: tuple[str, ...] = ("pose", "twist", "wrench", "power")
     every: int = 4
     speed: float = 1.0
+    cameras: tuple[str, ...] = ("overview", "top")
     draw_episode: Callable[[Any, Any, TensorDictBase, Path], None] | None = None
     draw_study: Callable[[Mapping[str, Sequence[Any]], Path], None] | None = None
     rollouts: int = 4

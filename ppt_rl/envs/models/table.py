@@ -14,7 +14,7 @@ __all__ = ["table_scene"]
 #: Directions of the lights that share one soft shadow [-], and how bright they are together [-].
 _SPREAD = ((0.0, 0.036), (-0.031, -0.018), (0.031, -0.018))
 _KEY_LIGHTS = tuple((0.10 + dx, 0.30 + dy, -1.0) for dx, dy in _SPREAD)
-_KEY_LIGHT, _FILL_LIGHT = 0.44, 0.20
+_KEY_LIGHT, _FILL_LIGHT = 0.40, 0.30
 
 
 def _add_looks(root: Any) -> None:

@@ -65,6 +65,7 @@ PUSH = Task(
     ),
     pictures=Pictures(
         configuration=("joint_position", "box_pose"),
+        cameras=("overview", "close"),
         draw_episode=draw_push_episode,
         draw_study=draw_push_study,
     ),
