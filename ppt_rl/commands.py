@@ -211,6 +211,7 @@ class Sweep:
         num_threads: physics threads; 0 takes one per CPU.
         baseline: names of baselines to sweep too, with the options of the first policy.
         report: directory of difficulty.json and difficulty.png.
+        report_only: run no episode; draw difficulty.png anew from difficulty.json.
     """
 
     policies: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="POLICY")]
@@ -219,15 +220,20 @@ class Sweep:
     num_threads: int = 0
     baseline: tuple[str, ...] = ()
     report: Path = Path("runs/difficulty")
+    report_only: bool = False
 
     def run(self) -> None:
         """Sweep and draw."""
         from ppt_rl.evaluation import run_sweep
+        from ppt_rl.evaluation.sweep import redraw_sweep
 
         if not self.policies:
             raise ValueError("no policy is given; expected at least one.")
         _check(episodes=self.episodes, seed=self.seed, report=self.report)
         policies = [_load(name, None, (f"num_threads={self.num_threads}",)) for name in self.policies]
+        if self.report_only:
+            redraw_sweep(policies[0].recipe.task, self.report)
+            return
         run_sweep(policies, episodes=self.episodes, seed=self.seed, baselines=self.baseline, report=self.report)
 
 

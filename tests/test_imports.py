@@ -14,6 +14,7 @@ ALLOWED = {
     "envs": {"functional", "modules", "arms"},
     "training": {"functional", "modules"},
     "evaluation": {"functional", "modules", "transforms", "envs", "training"},
+    "view": {"functional", "envs", "training", "evaluation"},
     "tasks": {"arms", "functional", "modules", "transforms", "envs", "training", "evaluation"},
 }
 FILES = sorted((ROOT / "ppt_rl").rglob("*.py"))

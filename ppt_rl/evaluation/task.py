@@ -134,6 +134,8 @@ class Task:
         report: how results are tabulated.
         pictures: what is recorded, filmed and drawn.
         scenarios: what may go wrong in its episodes, for the collision benchmark.
+        make_movable_env: makes the environment of the test with an obstacle that the live view moves: it has
+            ``obstacle_place`` (x, y) [m] and ``move_obstacle(place)``. None where there is none.
         sweep: difficulty of the episodes, one quantity at a time; None where there is none.
     """
 
@@ -147,4 +149,5 @@ class Task:
     report: Report = field(default_factory=Report)
     pictures: Pictures = field(default_factory=Pictures)
     scenarios: tuple[Scenario, ...] = ()
+    make_movable_env: MakeEnv | None = None
     sweep: Sweep | None = None
