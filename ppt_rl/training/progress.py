@@ -41,6 +41,7 @@ class TrainingRun:
         resume_from: checkpoint to continue from; None starts afresh.
         validation: when and how the policy is validated; None does without.
         constraint: limit on the cost of an episode; None leaves the reward alone.
+        loggers: names of loggers, some of :data:`~ppt_rl.training.loggers.LOGGERS`.
     """
 
     ppo: PPOConfig
@@ -51,6 +52,7 @@ class TrainingRun:
     resume_from: Path | None = None
     validation: Validation | None = None
     constraint: Constraint | None = None
+    loggers: tuple[str, ...] = ("csv", "tensorboard")
 
 
 class Progress:

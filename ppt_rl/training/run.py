@@ -22,8 +22,8 @@ from ppt_rl.training.validation import Validation
 
 __all__ = ["Learners", "train_in_run_dir"]
 
-#: Options that may differ between a run and its continuation: place, threads and budget.
-_FREE = {"run_dir", "resume", "num_threads", "torch_threads", "ppo.total_control_steps"}
+#: Options that may differ between a run and its continuation: place, threads, loggers and budget.
+_FREE = {"run_dir", "resume", "num_threads", "torch_threads", "logger", "ppo.total_control_steps"}
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,7 @@ def train_in_run_dir(
             resume_from=resume_from,
             validation=validation,
             constraint=learners.constraint,
+            loggers=config.logger,
         )
         return train_ppo(env, learners.actor, learners.critic, run)
 
