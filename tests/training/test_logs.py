@@ -4,6 +4,7 @@ import errno
 import importlib.util
 import json
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -176,12 +177,15 @@ def in_wandb(run_dir: Path) -> list[list[dict[str, float]]]:
 
     found = []
     for path in sorted((run_dir / "logs" / "wandb").glob("offline-run-*/*.wandb")):
-        rows = []
-        for data in records(path):
-            record = wandb_internal_pb2.Record.FromString(data)
-            if record.WhichOneof("record_type") == "history":
-                rows.append({i.key or "/".join(i.nested_key): json.loads(i.value_json) for i in record.history.item})
-        found.append(rows)
+        kinds: list[str] = []
+        for _ in range(200):  # its own process may write a moment longer than the run
+            read = [wandb_internal_pb2.Record.FromString(data) for data in records(path)]
+            kinds = [record.WhichOneof("record_type") for record in read]
+            if "exit" in kinds:
+                break
+            time.sleep(0.1)
+        rows = [record.history.item for record, kind in zip(read, kinds, strict=True) if kind == "history"]
+        found.append([{i.key or "/".join(i.nested_key): json.loads(i.value_json) for i in row} for row in rows])
     return found
 
 
