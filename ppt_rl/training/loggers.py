@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -74,7 +74,7 @@ def open_sinks(names: Sequence[str], run_dir: Path, options: Mapping[str, Any]) 
         MissingPackage: if the package of one is not installed.
     """
     require_loggers(names)
-    kinds = {"tensorboard": _TensorBoard, "wandb": _WeightsAndBiases, "mlflow": _MLflow}
+    kinds: dict[str, Callable[..., Sink]] = {"tensorboard": _TensorBoard, "wandb": _WeightsAndBiases, "mlflow": _MLflow}
     return [kinds[name](run_dir, options) for name in names if name in kinds]
 
 
