@@ -36,6 +36,7 @@ def test_the_length_of_a_bar_follows_its_value(label):
     gauges = gauges_of(trace(), p_max=2.0, e_max=1.3, top_force=3 * np.sqrt(3))
     (gauge,) = (gauge for gauge in gauges if gauge.label == label)
     pixels = [coloured(Overlay(gauges, dt=0.01).on(GREY, step), gauge.colour) for step in range(STEPS)]
+    assert max(pixels) > 0.9 * 76 * 13  # the inside of the frame
     expected = np.asarray(gauge.values) / gauge.full
     np.testing.assert_allclose(np.asarray(pixels) / max(pixels), expected, atol=0.05)
 
