@@ -89,7 +89,7 @@ def film(
     """
     require_filmable(episodes)
     require_run_options(episodes=episodes, seed=seed)
-    require_video_path(path, "output")
+    require_video_path(path)
     env = policy.make_env(episodes, seed=seed, privileged=True)
     pictures = policy.recipe.task.pictures
     recorded = record_episodes(env, policy.actor, policy.recipe.traced)
