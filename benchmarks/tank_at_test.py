@@ -18,8 +18,9 @@ from matplotlib.figure import Figure
 
 from ppt_rl import Policy, load_policy
 from ppt_rl.evaluation import ZeroPolicy, run_episodes
-from ppt_rl.evaluation.figures import save_figure
+from ppt_rl.evaluation.figures import one_legend, save_figure
 from ppt_rl.evaluation.statistics import interval
+from ppt_rl.evaluation.study_figures import GREY, VARIANT_COLORS
 from ppt_rl.training.logs import write_text_atomically
 
 
@@ -121,15 +122,16 @@ def draw(results: list[dict[str, Any]], trained: dict[str, float], path: Path) -
         for name in dict.fromkeys(row["actor"] for row in results):
             rows = [row for row in results if row["varied"] == varied and row["actor"] == name]
             x, y = ([row[key] for row in rows] for key in (varied, "success"))
-            axes.plot(x, y, marker="o", ms=4, label=name)
-            axes.fill_between(x, [row["low"] for row in rows], [row["high"] for row in rows], alpha=0.2)
-        axes.axvline(trained[varied], color="grey", ls="--", lw=1, label="trained with")
-        axes.set_xlabel(label)
+            color = VARIANT_COLORS.get(name.partition(",")[0], GREY)
+            axes.plot(x, y, marker="o", ms=4, color=color, label=name)
+            axes.fill_between(
+                x, [row["low"] for row in rows], [row["high"] for row in rows], color=color, alpha=0.2, lw=0
+            )
+        axes.axvline(trained[varied], color="black", ls="--", lw=1, label="trained with")
+        axes.set(xlabel=label, ylabel="success [0-1]", ylim=(0, 1.01))
         axes.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("success [0-1]")
-    figure.axes[0].set_ylim(0, 1)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    one_legend(figure)
+    figure.suptitle("bands: 95 % intervals over episodes", fontsize=10)
     save_figure(figure, path)
 
 

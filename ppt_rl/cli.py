@@ -1,4 +1,4 @@
-"""The command ``ppt-rl``: train, judge, film, collide, compare and calibrate, for every task."""
+"""The command ``ppt-rl``: train, judge, film, view, collide, compare and calibrate, for every task."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import tyro
 
 from ppt_rl.collide_command import Collide
 from ppt_rl.commands import CalibrateTank, Evaluate, Film, Policies, Study, Sweep, Train
+from ppt_rl.view_command import View
 
 __all__ = ["main"]
 
@@ -21,6 +22,7 @@ _Command = (
     _command(Train, "train")
     | _command(Evaluate, "evaluate")
     | _command(Film, "film")
+    | _command(View, "view")
     | _command(Collide, "collide")
     | _command(Study, "study")
     | _command(CalibrateTank, "calibrate-tank")

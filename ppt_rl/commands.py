@@ -97,10 +97,10 @@ class Evaluate(Judged):
 
 @dataclass(frozen=True)
 class Film(Judged):
-    """Write a video of a policy from two cameras.
+    """Write a video of a policy, with time, power, tank level and force over it.
 
     Attributes:
-        output: path of the video; by default VARIANT.mp4.
+        output: path of the video, .mp4 or .gif; by default VARIANT.mp4.
         episodes: number of episodes, one after the other.
     """
 
@@ -110,10 +110,11 @@ class Film(Judged):
     def run(self) -> None:
         """Record and film."""
         from ppt_rl.evaluation.drawing import film, require_filmable
+        from ppt_rl.evaluation.video import require_video_path
 
         require_filmable(self.episodes)
-        if self.output is not None and (self.output.suffix != ".mp4" or self.output.is_dir()):
-            raise ValueError(f"output is {self.output}; expected the path of a file that ends in .mp4.")
+        if self.output is not None:
+            require_video_path(self.output, "output")
         folder = None if self.output is None else self.output.parent
         _check(episodes=self.episodes, seed=self.seed, num_envs=self.num_envs, output=folder)
         policy = self.load()
@@ -210,6 +211,7 @@ class Sweep:
         num_threads: physics threads; 0 takes one per CPU.
         baseline: names of baselines to sweep too, with the options of the first policy.
         report: directory of difficulty.json and difficulty.png.
+        report_only: run no episode; draw difficulty.png anew from difficulty.json.
     """
 
     policies: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="POLICY")]
@@ -218,15 +220,20 @@ class Sweep:
     num_threads: int = 0
     baseline: tuple[str, ...] = ()
     report: Path = Path("runs/difficulty")
+    report_only: bool = False
 
     def run(self) -> None:
         """Sweep and draw."""
         from ppt_rl.evaluation import run_sweep
+        from ppt_rl.evaluation.sweep import redraw_sweep
 
         if not self.policies:
             raise ValueError("no policy is given; expected at least one.")
         _check(episodes=self.episodes, seed=self.seed, report=self.report)
         policies = [_load(name, None, (f"num_threads={self.num_threads}",)) for name in self.policies]
+        if self.report_only:
+            redraw_sweep(policies[0].recipe.task, self.report)
+            return
         run_sweep(policies, episodes=self.episodes, seed=self.seed, baselines=self.baseline, report=self.report)
 
 

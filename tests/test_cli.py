@@ -35,7 +35,7 @@ except SystemExit:
     assert run.returncode == 0, run.stderr
     assert all(
         name in run.stdout
-        for name in ("train", "evaluate", "film", "study", "calibrate-tank", "sweep", "collide", "policies")
+        for name in ("train", "evaluate", "film", "view", "study", "calibrate-tank", "sweep", "collide", "policies")
     )
 
 
@@ -151,10 +151,37 @@ def test_published_policies_are_listed_with_their_figures(capsys):
 
 
 @pytest.mark.skipif(rendering_backend() == "disable", reason="no OpenGL library is installed")
-def test_a_policy_is_filmed(tmp_path, capsys):
-    Film("s_push", settings=("duration=0.2", "physics_dt=0.002"), output=tmp_path / "s.mp4", episodes=1).run()
-    assert (tmp_path / "s.mp4").stat().st_size > 1_000
-    assert str(tmp_path / "s.mp4") in capsys.readouterr().out
+@pytest.mark.parametrize("name", ["s.mp4", "s.gif"])
+def test_a_policy_is_filmed(tmp_path, capsys, name):
+    Film("s_push", settings=("duration=0.2", "physics_dt=0.002"), output=tmp_path / name, episodes=1).run()
+    assert (tmp_path / name).stat().st_size > 1_000
+    assert str(tmp_path / name) in capsys.readouterr().out
+
+
+def test_a_sweep_is_drawn_anew_from_its_numbers(tmp_path):
+    with pytest.raises(ValueError, match=r"difficulty\.json cannot be read .*Run one first"):
+        Sweep(("st_maze",), report=tmp_path, report_only=True).run()
+    curves = {"width [mm]": {"ST": ([30.0, 40.0], [1.0, 0.5], [(0.9, 1.0), (0.3, 0.7)])}}
+    (tmp_path / "difficulty.json").write_text(json.dumps(curves))
+    Sweep(("st_maze",), report=tmp_path, report_only=True).run()
+    assert (tmp_path / "difficulty.png").stat().st_size > 5_000
+
+
+@pytest.mark.parametrize(("missing", "options"), [("viser", ("view", "ppt_push"))])
+def test_a_missing_package_is_one_line_of_advice(tmp_path, missing, options):
+    code = f"""
+import importlib.util, sys
+find = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *more: None if name == {missing!r} else find(name, *more)
+from ppt_rl import cli
+sys.argv = ["ppt-rl", *{options!r}]
+cli.main()
+"""
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert run.returncode == 2
+    last = run.stderr.splitlines()[-1]
+    assert last.startswith(f"ppt-rl: error: the live view needs the package {missing}, which is not installed")
+    assert "Traceback" not in run.stderr
 
 
 def test_an_evaluation_writes_its_report(tmp_path, capsys, monkeypatch):

@@ -14,6 +14,7 @@ ALLOWED = {
     "envs": {"functional", "modules", "arms"},
     "training": {"functional", "modules"},
     "evaluation": {"functional", "modules", "transforms", "envs", "training"},
+    "view": {"functional", "envs", "training", "evaluation"},
     "tasks": {"arms", "functional", "modules", "transforms", "envs", "training", "evaluation"},
 }
 FILES = sorted((ROOT / "ppt_rl").rglob("*.py"))
@@ -79,8 +80,8 @@ def test_the_library_does_not_import_what_uses_it():
 
 def test_only_the_command_line_and_the_package_itself_stand_above_the_tasks():
     top = {path.name: imported_packages(path) for path in FILES if not package(path)}
-    assert set(top) == {"__init__.py", "__main__.py", "cli.py", "collide_command.py", "commands.py"}
-    assert set().union(*top.values()) <= {"training", "evaluation"}
+    assert set(top) == {"__init__.py", "__main__.py", "cli.py", "collide_command.py", "commands.py", "view_command.py"}
+    assert set().union(*top.values()) <= {"training", "evaluation", "view"}
     for name in ("training", "evaluation"):
         files = [path for path in FILES if package(path) == name]
         assert not [path for path in files if {"tasks"} & imported_packages(path)]

@@ -14,7 +14,7 @@ __all__ = ["Arm", "Inertial", "Joints", "Limits", "Shell"]
 
 
 #: Shapes of a shell.
-_SHAPES = ("cylinder", "capsule")
+_SHAPES = ("cylinder", "tube")
 
 
 class Limits(NamedTuple):
@@ -106,15 +106,18 @@ class Joints:
 
 
 class Shell(NamedTuple):
-    """A primitive shape that shows what a link looks like. It has no mass and touches nothing.
+    """A shape that shows what a link looks like. It has no mass and touches nothing.
 
     Attributes:
         link: index of the link that carries it; 0 is the base.
-        shape: ``"cylinder"`` or ``"capsule"``.
+        shape: ``"cylinder"``, whose edges are rounded, or ``"tube"``, straight or bent, with half a ball at each end.
         colour: red, green, blue and opacity, each in [0, 1].
-        radius: [m].
+        radius: [m]; of a tube, at its start.
         start: centre of one end, in the link's frame [m].
         end: centre of the other end [m].
+        edge: radius of the rounded edges of a cylinder [m].
+        via: what a tube bends towards, the middle control point of a quadratic Bézier curve [m]; None: it is straight.
+        end_radius: radius of a tube at its end [m]; None: that at its start.
     """
 
     link: int
@@ -123,6 +126,9 @@ class Shell(NamedTuple):
     radius: float
     start: Vector3
     end: Vector3
+    edge: float = 0.006
+    via: Vector3 | None = None
+    end_radius: float | None = None
 
 
 @dataclass(frozen=True)
@@ -195,7 +201,9 @@ class Arm:
         for shell in self.shells:
             if shell.shape not in _SHAPES:
                 raise ValueError(f"the shape of a shell is {shell.shape!r}; expected one of {_SHAPES}.")
-            _require_positive("radius of the shells", [shell.radius])
+            _require_positive("radius of the shells", [shell.radius, shell.edge, shell.end_radius or shell.radius])
+            if tuple(shell.start) == tuple(shell.end):
+                raise ValueError(f"a shell of link {shell.link} starts and ends at {shell.start}; expected two points.")
 
 
 def _is_interval(limits: Any) -> bool:

@@ -106,7 +106,7 @@ class RenderedScenes:
 
         Args:
             index: environment index.
-            camera: name of a camera of the scene: ``overview``, ``side`` or ``top``.
+            camera: name of a camera of the scene: ``overview``, ``close``, ``side`` or ``top``.
             width: [pixels].
             height: [pixels].
 
@@ -121,6 +121,9 @@ class RenderedScenes:
         require_rendering()
         return self._showing(index).picture(camera, width, height)
 
+    def _write_looks(self, model: Any, row: int) -> None:
+        """Write what only pictures show of environment ``row``, such as marks, into the renderer's model."""
+
     def _showing(self, index: int) -> SceneRenderer:
         """The scene with the parameters and in the state of environment ``index``."""
         self._require_open()
@@ -128,7 +131,9 @@ class RenderedScenes:
             raise IndexError(f"environment {index} of {self.num_envs}; expected 0 to {self.num_envs - 1}.")
         if self._rendered is None:
             self._rendered = SceneRenderer(self._scene())
-        self._write_parameters(self._rendered.physics.model.ptr, index)
+        model = self._rendered.physics.model.ptr
+        self._write_parameters(model, index)
+        self._write_looks(model, index)
         self._rendered.show(self.engine.state(index))
         return self._rendered
 

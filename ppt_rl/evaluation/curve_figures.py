@@ -11,17 +11,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ppt_rl.evaluation.figures import CURVES, moving_average, save_figure
+from ppt_rl.evaluation.figures import CURVES, moving_average, one_legend, save_figure
 from ppt_rl.evaluation.resampling import iqm_interval
 from ppt_rl.evaluation.study_figures import GREY, VARIANT_COLORS
 
 __all__ = ["TrainingCurve", "plot_curves"]
 
 Array = NDArray[np.float64]
-_TITLE = (
-    "Interquartile mean over seeds with its 95 % interval (stratified bootstrap). Thick with points: the policy\n"
-    "without exploration, in fresh episodes, where it was validated. Thin: exploring, mean of {window} batches."
-)
+#: Power that is less than this share of its limit is drawn on a logarithmic axis [-].
+_SMALL = 0.3
+_TITLE = "Interquartile mean over seeds with its 95 % interval (stratified bootstrap)"
 
 
 @dataclass(frozen=True)
@@ -62,13 +61,24 @@ def plot_curves(curves: Mapping[str, Sequence[TrainingCurve]], path: Path, *, p_
                 _draw(axes, variant, seeds, name, factor=factor, window=window, against_time=timed)
             axes.set(xlabel=label, ylabel=unit, xlim=(0, None))
             axes.grid(alpha=0.3)
-        row[1].axhline(p_max, color="black", ls="--", lw=1.2, label="limit of the tank")
+        row[1].axhline(p_max, color="black", ls="--", lw=1.0, zorder=1, label="limit of the tank")
     grid[0, 0].set_ylim(0, 102)
-    grid[0, 1].set_ylim(0, None)
-    handles, names = grid[0, 1].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=len(names))
-    figure.suptitle(_TITLE.format(window=window), fontsize=9)
+    top = max(float(seed.batches["max_power"].max()) for seeds in curves.values() for seed in seeds)
+    if top < _SMALL * p_max:
+        grid[0, 1].set_yscale("log")
+    else:
+        grid[0, 1].set_ylim(0, None)
+    if any(_validations(seeds) for seeds in curves.values()):
+        grid[0, 1].plot([], [], color="black", lw=2.2, marker="o", ms=4, label="without exploration, in fresh episodes")
+    grid[0, 1].plot([], [], color="black", lw=0.9, alpha=0.6, label=f"exploring, mean of {window} batches")
+    one_legend(figure)
+    figure.suptitle(_TITLE, fontsize=10)
     save_figure(figure, path)
+
+
+def _validations(seeds: Sequence[TrainingCurve]) -> int:
+    """How many validations every run has."""
+    return min(len(seed.validation["control_steps"]) for seed in seeds)
 
 
 def _draw(
@@ -77,7 +87,7 @@ def _draw(
 ) -> None:  # fmt: skip
     """Curves of one variant: the validated policy where every run has one, and the exploring policy."""
     color = VARIANT_COLORS.get(variant, GREY)
-    validated = min(len(seed.validation["control_steps"]) for seed in seeds)
+    validated = _validations(seeds)
     kinds = [([moving_average(seed.batches[name], window) for seed in seeds], [seed.batches for seed in seeds])]
     if validated:
         kinds.append(([seed.validation[name] for seed in seeds], [seed.validation for seed in seeds]))

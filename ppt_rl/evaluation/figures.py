@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ppt_rl.functional.argument_checks import require_whole
 from ppt_rl.training.logs import read_scalar
 
-__all__ = ["CURVES", "moving_average", "plot_calibration", "plot_training", "save_figure"]
+__all__ = ["CURVES", "map_axes", "moving_average", "one_legend", "plot_calibration", "plot_training", "save_figure"]
 
 _BLUE, _ORANGE, _GREEN, _GREY = "#1f5fa8", "#d9701a", "#2a9d4a", "#8a8f98"
 Array = NDArray[np.float64]
+#: Most names in a row of a legend.
+_LEGEND_COLUMNS = 5
 #: Panels of training curves: scalar, factor to the unit of the axis, label of the axis.
 CURVES = (("success", 100.0, "success [%]"), ("max_power", 1.0, "max power of an episode [W]"))
 
@@ -65,11 +69,42 @@ def plot_training(run_dir: Path, path: Path, *, p_max: float | None = None, wind
         axes.set_ylim(bottom=0)
     left.set_ylim(0, 102)
     if p_max is not None:
-        right.axhline(p_max, color=_ORANGE, ls="--", lw=1.2, label="limit")
+        right.axhline(p_max, color=_ORANGE, ls="--", lw=1.2, label="limit of the tank")
         right.set_ylim(0, 1.1 * p_max)
-    left.legend(loc="lower right")
-    right.legend(loc="best")
+    one_legend(figure)
     save_figure(figure, path)
+
+
+def map_axes(axes: Axes, x: Array, y: Array, margin: float = 0.03) -> None:
+    """Let axes show the table from above as the arm sees it: x, ahead, points up and y, to the left, points left.
+
+    What is drawn on them has y along the horizontal and x along the vertical axis.
+
+    Args:
+        axes: the axes.
+        x: all values of x that must fit [m].
+        y: all values of y that must fit [m].
+        margin: room around them [m].
+    """
+    axes.set_xlim(float(np.max(y)) + margin, float(np.min(y)) - margin)
+    axes.set_ylim(float(np.min(x)) - margin, float(np.max(x)) + margin)
+    axes.set(xlabel="y, to the left [m]", ylabel="x, ahead [m]")
+    axes.set_aspect("equal")
+
+
+def one_legend(figure: Figure) -> None:
+    """Put one legend under a figure, with what any of its panels has, each name once.
+
+    Args:
+        figure: a figure with constrained layout.
+    """
+    found: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(name, handle)
+    rows = -(-len(found) // _LEGEND_COLUMNS)
+    columns = -(-len(found) // rows) if found else 1
+    figure.legend(list(found.values()), list(found), loc="outside lower center", ncols=columns)
 
 
 def save_figure(figure: Figure, path: Path) -> None:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ppt_rl.evaluation.figures import save_figure
+from ppt_rl.evaluation.figures import one_legend, save_figure
 from ppt_rl.functional.promp import Gaussian
 from ppt_rl.modules.promp import ProMP
 
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 VARIANT_COLORS = {"PP": "#e69f00", "PPT": "#0072b2", "S": "#cc79a7", "ST": "#009e73"}
 #: Colour of everything else.
 GREY = "#8a8f98"
+#: By how much points of one value are moved apart, as a share of the axis.
+_DODGE = 0.022
 
 
 def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, str], path: Path) -> None:
@@ -56,6 +58,7 @@ def plot_boxes(rows: Mapping[str, Mapping[str, Array]], metrics: Mapping[str, st
             axes.set_xlim(left=0)
         axes.grid(axis="x", alpha=0.3)
     panels[0].invert_yaxis()  # the first row on top, as in the tables
+    figure.supxlabel("box: quartiles over episodes; line: median; whiskers: 5th and 95th percentile", fontsize=9)
     save_figure(figure, path)
 
 
@@ -81,15 +84,18 @@ def plot_promp(
         for gaussian, color, name in curves:
             mean, std = _marginal(promp, gaussian, phase, dof)
             axes.plot(phase, mean, color=color, lw=2, label=f"{name}, mean")
-            axes.fill_between(phase, mean - 2 * std, mean + 2 * std, color=color, alpha=0.2, lw=0, label="±2 sigma")
+            axes.fill_between(
+                phase, mean - 2 * std, mean + 2 * std, color=color, alpha=0.2, lw=0, label=f"{name}, ±2 sigma"
+            )
         if via is not None:
             error = 2 * cov[:, dof, dof].sqrt()
-            axes.errorbar(at, position[:, dof], yerr=error, fmt="o", color="black", ms=5, capsize=3, label="via-points")
+            axes.errorbar(
+                at, position[:, dof], yerr=error, fmt="o", color="black", ms=5, capsize=3, label="via-points, ±2 sigma"
+            )
         axes.set_xlabel("phase [-]")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
-    handles, names = axes.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=len(names))
+    one_legend(figure)
     save_figure(figure, path)
 
 
@@ -117,23 +123,25 @@ def plot_tanks(
     figure = Figure(figsize=(4.6 * len(episodes), 6), layout="constrained")
     grid = figure.subplots(3, len(episodes), sharex=True, sharey="row", squeeze=False)
     lines = (
-        ("power", "power [W]", p_max, "limit"),
-        ("tank_energy", "tank level [J]", e_max, "capacity"),
-        ("valve", "valve [-]", 1.0, "open"),
+        ("power", "power [W]", p_max),
+        ("tank_energy", "tank level [J]", e_max),
+        ("valve", "valve [-]", 1.0),
     )
     for column, (title, episode) in enumerate(episodes.items()):
         time = dt * np.arange(1, len(episode["power"]) + 1)
-        for axes, (key, label, limit, name) in zip(grid[:, column], lines, strict=True):
-            axes.plot(time, episode[key][:, 0], color=VARIANT_COLORS["PPT"], lw=1.5)
-            axes.axhline(limit, color="black", ls="--", lw=1.0, label=name)
+        for axes, (key, label, limit) in zip(grid[:, column], lines, strict=True):
+            axes.axhline(limit, color="black", ls="--", lw=1.0, label="limit of power, capacity, valve open")
             if key == "power":
                 axes.axhline(-limit, color="black", ls="--", lw=1.0)
+                axes.axhline(0.0, color=GREY, lw=0.8)
+            else:
+                axes.set_ylim(-0.04 * limit, 1.08 * limit)
+            axes.plot(time, episode[key][:, 0], color=VARIANT_COLORS["PPT"], lw=1.5)
             axes.grid(alpha=0.3)
-            if column == 0:
-                axes.set_ylabel(label)
-                axes.legend(loc="lower left", fontsize="small")
+            axes.set_ylabel(label)
         grid[0, column].set_title(title)
         grid[2, column].set_xlabel("time [s]")
+    one_legend(figure)
     save_figure(figure, path)
 
 
@@ -150,17 +158,18 @@ def plot_filmstrip(
     """
     height, width = next(iter(strips.values()))[0].shape[:2]
     size = 2.4
-    figure = Figure(figsize=(size * len(times), (size * height / width + 0.1) * len(strips) + 0.5))
+    figure = Figure(
+        figsize=(size * len(times), (size * height / width + 0.05) * len(strips) + 0.6), layout="constrained"
+    )
     grid = figure.subplots(len(strips), len(times), squeeze=False)
     for row, (label, pictures) in enumerate(strips.items()):
         for axes, picture, time in zip(grid[row], pictures, times, strict=True):
             axes.imshow(picture)
             axes.set(xticks=[], yticks=[])
             if row == 0:
-                axes.set_title(f"{time:.1f} s", fontsize="medium")
+                axes.set_title(f"{time:.2f} s", fontsize="medium")
         grid[row, 0].set_ylabel(label)
     figure.suptitle(title)
-    figure.tight_layout(pad=0.4)
     save_figure(figure, path)
 
 
@@ -177,20 +186,22 @@ def plot_sweep(
         path: path of the picture.
         usual: by quantity, the range of the test, which is shaded.
     """
-    figure = Figure(figsize=(3.6 * len(curves), 3.6), layout="constrained")
-    for axes, (quantity, actors) in zip(np.atleast_1d(figure.subplots(1, len(curves))), curves.items(), strict=True):
+    figure = Figure(figsize=(3.6 * len(curves), 4.0), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(curves), sharey=True))
+    for axes, (quantity, actors) in zip(panels, curves.items(), strict=True):
         if quantity in usual:
-            axes.axvspan(*usual[quantity], color=GREY, alpha=0.15, lw=0)
-        for name, (values, rates, intervals) in actors.items():
+            axes.axvspan(*usual[quantity], color=GREY, alpha=0.15, lw=0, label="range of the test")
+        step = _DODGE * float(np.ptp([value for values, *_ in actors.values() for value in values]))
+        for number, (name, (values, rates, intervals)) in enumerate(actors.items()):
             low, high = np.asarray(intervals, dtype=float).T
             error = 100 * np.abs(np.stack([np.asarray(rates) - low, high - np.asarray(rates)]))
-            color = VARIANT_COLORS.get(name, GREY)
-            rate = 100 * np.asarray(rates)
-            axes.errorbar(values, rate, yerr=error, color=color, marker="o", ms=4, capsize=2, label=name)
-        axes.set_xlabel(quantity)
-        axes.set_ylim(0, 103)
+            beside = np.asarray(values) + step * (number - 0.5 * (len(actors) - 1))
+            axes.errorbar(
+                beside, 100 * np.asarray(rates), yerr=error, color=VARIANT_COLORS.get(name, GREY), marker="o", ms=4,
+                lw=1.0, elinewidth=1.6, capsize=0, label=name,
+            )  # fmt: skip
+        axes.set(xlabel=quantity, ylabel="success [%]", ylim=(-3, 103))
         axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, loc="lower left")
-    figure.axes[0].set_ylabel("success [%]")
-    figure.suptitle("shaded: the range of the test; bars: 95 % intervals", fontsize=9)
+    one_legend(figure)
+    figure.suptitle("bars: 95 % intervals; the points of one value stand side by side", fontsize=10)
     save_figure(figure, path)

@@ -13,9 +13,10 @@ from ppt_rl.evaluation.episodes import require_run_options, run_episodes
 from ppt_rl.evaluation.policy import Policy
 from ppt_rl.evaluation.statistics import interval
 from ppt_rl.evaluation.study_figures import plot_sweep
+from ppt_rl.evaluation.task import Task
 from ppt_rl.training.logs import write_text_atomically
 
-__all__ = ["run_sweep"]
+__all__ = ["redraw_sweep", "run_sweep"]
 
 #: Environments that step together.
 _TOGETHER = 96
@@ -61,6 +62,26 @@ def run_sweep(
             print(f"{point.quantity} {point.value:g}, {label}: success {here.mean():.2f}", flush=True)
         write_text_atomically(report / "difficulty.json", json.dumps(curves, indent=2) + "\n")
     plot_sweep(curves, report / "difficulty.png", usual=sweep.usual)
+
+
+def redraw_sweep(task: Task, report: Path) -> None:
+    """Draw ``difficulty.png`` anew from ``difficulty.json``.
+
+    Args:
+        task: the task of the policies.
+        report: directory of both.
+
+    Raises:
+        ValueError: if the task has no sweep, or the file cannot be read.
+    """
+    if task.sweep is None:
+        raise ValueError(f"the policies are of {task.name!r}; expected policies of one task that has a sweep.")
+    path = report / "difficulty.json"
+    try:
+        curves = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read ({error}); expected what a sweep wrote. Run one first.") from error
+    plot_sweep(curves, report / "difficulty.png", usual=task.sweep.usual)
 
 
 def _actors(

@@ -96,6 +96,7 @@ class Pictures:
         trace: further observations to record at every control step.
         every: control steps between two frames of a video.
         speed: of the video, relative to real time.
+        cameras: cameras of the video, side by side.
         draw_episode: draws one recorded episode: called with the policy, the bare environment, the episode (without a
             batch dimension; it is that of the first environment) and the path of the picture.
         draw_study: draws the figures that only this task has: called with the runs by label and the directory.
@@ -107,6 +108,7 @@ class Pictures:
     trace: tuple[str, ...] = ("pose", "twist", "wrench", "power")
     every: int = 4
     speed: float = 1.0
+    cameras: tuple[str, ...] = ("overview", "top")
     draw_episode: Callable[[Any, Any, TensorDictBase, Path], None] | None = None
     draw_study: Callable[[Mapping[str, Sequence[Any]], Path], None] | None = None
     rollouts: int = 4
@@ -132,6 +134,8 @@ class Task:
         report: how results are tabulated.
         pictures: what is recorded, filmed and drawn.
         scenarios: what may go wrong in its episodes, for the collision benchmark.
+        make_movable_env: makes the environment of the test with an obstacle that the live view moves: it has
+            ``obstacle_place`` (x, y) [m] and ``move_obstacle(place)``. None where there is none.
         sweep: difficulty of the episodes, one quantity at a time; None where there is none.
     """
 
@@ -145,4 +149,5 @@ class Task:
     report: Report = field(default_factory=Report)
     pictures: Pictures = field(default_factory=Pictures)
     scenarios: tuple[Scenario, ...] = ()
+    make_movable_env: MakeEnv | None = None
     sweep: Sweep | None = None

@@ -15,6 +15,7 @@ import torch
 
 from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.checks import Bounds, require_at_most, require_bounds
+from ppt_rl.training.loggers import require_loggers
 from ppt_rl.training.ppo import PPOConfig
 
 __all__ = ["RunConfig", "as_json", "from_json", "prepare_torch", "preset_options", "with_settings"]
@@ -42,6 +43,7 @@ class RunConfig:
         update_threads: threads of an update of PPO; 0 takes one per CPU, and fewer for a small batch.
         validate_every: batches from one validation of the deterministic policy to the next; 0 validates never.
         validation_episodes: episodes of a validation, the same ones every time; 0 takes one of each environment.
+        logger: where scalars are logged: csv (always), tensorboard, wandb (offline), mlflow; several may be given.
         ppo: settings of PPO.
         resume_from: continue from this checkpoint of run_dir, or of another run where run_dir holds none.
         device: where the physics, the networks and the batches are, such as ``cuda``.
@@ -58,6 +60,7 @@ class RunConfig:
     update_threads: int = 0
     validate_every: int = 0
     validation_episodes: int = 0
+    logger: tuple[str, ...] = ("csv", "tensorboard")
     ppo: PPOConfig = field(default_factory=PPOConfig)
     resume_from: Path | None = field(default=None, metadata=_NOT_RECORDED, kw_only=True)
     device: str = field(default="cpu", metadata=_NOT_RECORDED, kw_only=True)
@@ -85,6 +88,7 @@ class RunConfig:
         """Refuse numbers out of bounds, and batches that no machine could hold; ``bounds`` of subclasses add up."""
         tables = [vars(kind).get("bounds", {}) for kind in reversed(type(self).__mro__)]
         require_bounds(self, {name: limits for table in tables for name, limits in table.items()})
+        require_loggers(self.logger)
         batch = self.num_envs * getattr(self, "batch_steps", 1)
         require_at_most("num_envs * batch_steps", batch, _MAX_BATCH, "lower num_envs or the policy steps of a batch")
 

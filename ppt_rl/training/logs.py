@@ -1,4 +1,4 @@
-"""The files of a run: configuration, CSV and TensorBoard logs."""
+"""The files of a run: configuration and logs."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torchrl.record.loggers import CSVLogger, TensorboardLogger
+from torchrl.record.loggers import CSVLogger
 
 from ppt_rl.training.advice import in_one_line
+from ppt_rl.training.loggers import open_sinks, require_loggers
 
 __all__ = [
     "RunLogs",
@@ -37,27 +38,40 @@ _PACKAGES = ("ppt_rl", "torch", "torchrl", "tensordict", "mujoco", "dm_control",
 
 
 class RunLogs:
-    """Scalars of a run: ``logs/csv/scalars/NAME.csv`` (step, value) and ``logs/tensorboard``.
+    """Scalars of a run: ``logs/csv/scalars/NAME.csv`` (step, value), and what its loggers write.
 
-    The CSV files are written through at once, TensorBoard's are buffered. So a run that goes on keeps what its CSV
-    files hold up to its checkpoint, and writes TensorBoard's anew from them: each holds each step once.
+    The CSV files are always there, since reports and ``--resume`` read them, and are written through at once. So a run
+    that goes on keeps what they hold up to its checkpoint, and all that its other loggers wrote is cleared and written
+    anew from them: each holds each step once.
 
     Args:
         run_dir: directory of the run.
         last_step: control step to continue from; entries that a killed run logged after it are dropped. At 0, all are.
+        loggers: names of loggers, some of :data:`~ppt_rl.training.loggers.LOGGERS`.
+        options: options of the run, for loggers that show them.
+
+    Raises:
+        ValueError: if a logger is unknown.
+        MissingPackage: if the package of one is not installed.
     """
 
-    def __init__(self, run_dir: Path, last_step: int = 0) -> None:
+    def __init__(
+        self,
+        run_dir: Path,
+        last_step: int = 0,
+        *,
+        loggers: Sequence[str] = ("csv", "tensorboard"),
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        require_loggers(loggers)
         logs = run_dir / "logs"
         kept = {path.stem: _trimmed(path, last_step) for path in sorted((logs / "csv" / "scalars").glob("*.csv"))}
-        for path in (logs / "tensorboard").glob("events.out.tfevents.*"):
-            path.unlink()
         self._csv = CSVLogger(exp_name="csv", log_dir=str(logs))
-        self._tensorboard = TensorboardLogger(exp_name="tensorboard", log_dir=str(logs))
+        self._sinks = open_sinks(loggers, run_dir, options or {})
         for step in sorted(set().union(*kept.values())):
-            for name, values in kept.items():
-                if step in values:
-                    self._tensorboard.log_scalar(name, float(values[step]), step=step)
+            scalars = {name: float(values[step]) for name, values in kept.items() if step in values}
+            for sink in self._sinks:
+                sink.write(scalars, step)
 
     def write(self, scalars: Mapping[str, float], step: int) -> None:
         """Log scalars.
@@ -66,24 +80,28 @@ class RunLogs:
             scalars: values by name.
             step: control steps so far.
         """
-        for logger in (self._csv, self._tensorboard):
-            for name, value in scalars.items():
-                logger.log_scalar(name, value, step=step)
+        for name, value in scalars.items():
+            self._csv.log_scalar(name, value, step=step)
+        for sink in self._sinks:
+            sink.write(scalars, step)
 
     def flush(self) -> None:
         """Write out what is still buffered."""
-        self._tensorboard.experiment.flush()
+        for sink in self._sinks:
+            sink.flush()
 
     def close(self) -> None:
         """Write out what is still buffered, and close.
 
         Raises:
-            OSError: if TensorBoard's file cannot be written; what a CSV file could not take was told by :meth:`write`.
+            OSError: if a file cannot be written; what a CSV file could not take was told by :meth:`write`.
         """
         for file in self._csv.experiment.files.values():
             with suppress(OSError):
                 file.close()
-        self._tensorboard.experiment.close()
+        with ExitStack() as stack:
+            for sink in self._sinks:
+                stack.callback(sink.close)
 
 
 def _trimmed(path: Path, last_step: int) -> dict[int, str]:

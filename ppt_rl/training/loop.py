@@ -46,7 +46,8 @@ def train_ppo(env: EnvBase, actor: ProbabilisticActor, critic: nn.Module, run: T
     if run.resume_from is not None:
         progress.restore(env)
     budget = run.ppo.total_control_steps
-    logs = RunLogs(run.run_dir, last_step=progress.control_steps)
+    options = run.metadata.get("config", {})
+    logs = RunLogs(run.run_dir, progress.control_steps, loggers=run.loggers, options=options)
     collector = _collector(env, actor, run.policy_steps)
     bar = tqdm(total=budget, initial=progress.control_steps, unit=" steps", unit_scale=True)
     batches = iter(collector)

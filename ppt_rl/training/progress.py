@@ -42,6 +42,7 @@ class TrainingRun:
         validation: when and how the policy is validated; None does without.
         constraint: limit on the cost of an episode; None leaves the reward alone.
         update_threads: threads of an update on the CPU; None takes one for each CPU.
+        loggers: names of loggers, some of :data:`~ppt_rl.training.loggers.LOGGERS`.
     """
 
     ppo: PPOConfig
@@ -53,6 +54,7 @@ class TrainingRun:
     validation: Validation | None = None
     constraint: Constraint | None = None
     update_threads: int | None = None
+    loggers: tuple[str, ...] = ("csv", "tensorboard")
 
 
 class Progress:

@@ -22,8 +22,8 @@ from ppt_rl.training.validation import Validation
 
 __all__ = ["Learners", "train_in_run_dir"]
 
-#: Options that may differ between a run and its continuation: place, threads and budget.
-_FREE = {"run_dir", "resume", "num_threads", "torch_threads", "update_threads", "ppo.total_control_steps"}
+#: Options that may differ between a run and its continuation: place, threads, loggers and budget.
+_FREE = {"run_dir", "resume", "num_threads", "torch_threads", "update_threads", "logger", "ppo.total_control_steps"}
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,7 @@ def train_in_run_dir(
             validation=validation,
             constraint=learners.constraint,
             update_threads=config.update_threads or None,
+            loggers=config.logger,
         )
         return train_ppo(env, learners.actor, learners.critic, run)
 

@@ -14,6 +14,7 @@ import tyro
 
 from ppt_rl.training.advice import advice_on
 from ppt_rl.training.checkpoint import CheckpointMismatch
+from ppt_rl.training.extras import MissingPackage
 from ppt_rl.training.finite import TrainingDiverged
 from ppt_rl.training.output import drop_closed_output, tell
 
@@ -41,7 +42,7 @@ def advice_instead_of_traceback(prog: str) -> Iterator[None]:
         except BrokenPipeError:
             drop_closed_output()
             raise SystemExit(128 + signal.SIGPIPE) from None
-        except (CheckpointMismatch, TrainingDiverged, ValueError, KeyError) as error:
+        except (CheckpointMismatch, MissingPackage, TrainingDiverged, ValueError, KeyError) as error:
             tell(f"{prog}: error: {error.args[0] if error.args else error}")
             raise SystemExit(2) from error
         except OSError as error:

@@ -149,7 +149,7 @@ _OUTPUTS = [
     _cli("evaluate ppt_push --episodes 1 --report {tmp}/file.txt", "report is .*file.txt, .*; expected a folder"),
     _cli("evaluate ppt_push --episodes 1 --report /proc/nowhere", "report is /proc/nowhere, .*; expected a folder"),
     _cli("calibrate-tank ppt_push --episodes 1 --report {tmp}/file.txt/here", "report is .*; expected a folder"),
-    _cli("film ppt_push --output film.gif", "output is film.gif; expected .* ends in .mp4"),
+    _cli("film ppt_push --output film.avi", "output is film.avi; expected .* ends in .mp4 or .gif"),
     _cli("film ppt_push --output {tmp}/empty", "output is .*empty; expected the path of a file"),
     _cli("film ppt_push --output {tmp}/file.txt/film.mp4", "output is .*file.txt, .*; expected a folder"),
     _cli("study s_push --results {tmp}/file.txt", "results is .*file.txt, .*; expected a folder"),

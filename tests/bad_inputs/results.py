@@ -65,7 +65,7 @@ _JUDGED = [
     *_of_policy(
         film, "episodes", (0, -1, 10**6, "all"), "{name} is {value}; expected a whole number", path=Path("never.mp4")
     ),
-    *_of_policy(film, "path", (Path("film.gif"), Path("film")), "path.*{value}.*; expected .*mp4", episodes=1),
+    *_of_policy(film, "path", (Path("film.avi"), Path("film")), "path.*{value}.*; expected .*mp4", episodes=1),
     BadInput(
         "a baseline that is not there",
         lambda: policy().make_baseline("random"),

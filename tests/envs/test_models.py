@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 from dm_control import mjcf
 
-from ppt_rl.arms import PANDA
+from ppt_rl.arms import PANDA, UR5E
 from ppt_rl.envs import PandaEnv, PandaPushEnv
 from ppt_rl.envs.models import PADDLE, arm_model, remove_visual_geoms, table_scene
 from ppt_rl.envs.push.scene import push_scene
@@ -77,12 +79,38 @@ def test_the_paddle_is_a_bar_of_12_by_1_by_1_centimetres(physics_model):
 
 
 @pytest.mark.parametrize("scene", [arm_model, table_scene, push_scene])
-def test_no_scene_needs_a_mesh_or_a_file(scene):
+def test_no_scene_needs_a_file(scene):
     root = scene(PANDA)
-    model = compiled(root)
-    assert (model.nmesh, model.nhfield) == (0, 0)
+    assert compiled(root).nmesh == len(PANDA.shells)
     assert root.get_assets() == {}
     assert "file=" not in root.to_xml_string()
+
+
+def test_what_is_simulated_has_no_meshes_materials_and_textures(physics_model):
+    assert (physics_model.nmesh, physics_model.nmat, physics_model.ntex) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("arm", [PANDA, UR5E], ids=lambda arm: arm.name)
+def test_looks_change_no_trajectory(arm):
+    """The same torques on what pictures show, on what is simulated, and on an arm that has no shells at all."""
+    full, bare, plain = push_scene(arm), push_scene(arm), push_scene(replace(arm, shells=()))
+    for root in (bare, plain):
+        remove_visual_geoms(root)
+    models = [compiled(root) for root in (full, bare, plain)]
+    assert (models[1].nbody, models[1].ngeom) == (models[2].nbody, models[2].ngeom)
+    assert models[0].nbody == models[1].nbody
+    end = []
+    for model in models:
+        data = mujoco.MjData(model)
+        data.qpos[: arm.num_joints] = arm.home
+        data.qvel[arm.num_joints] = 0.3  # the box slides
+        for step in range(400):
+            data.ctrl[:] = 5 * np.sin(0.02 * step + np.arange(arm.num_joints))
+            mujoco.mj_step(model, data)
+        end.append(np.concatenate([data.qpos, data.qvel, data.sensordata]))
+    np.testing.assert_array_equal(end[0], end[1])
+    np.testing.assert_array_equal(end[1], end[2])
+    assert np.abs(end[0][arm.num_joints] - 0.45) > 0.01  # the box has slid
 
 
 @pytest.mark.parametrize("env_class", [PandaEnv, PandaPushEnv])

@@ -150,7 +150,7 @@ def test_a_missing_checkpoint_is_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("episodes", "name", "message"), [(0, "a.mp4", "episodes is 0; expected"), (1, "a.gif", r"ends in \.mp4")]
+    ("episodes", "name", "message"), [(0, "a.mp4", "episodes is 0; expected"), (1, "a.avi", r"ends in \.mp4 or \.gif")]
 )
 def test_an_impossible_film_is_refused(trained, tmp_path, episodes, name, message):
     with pytest.raises(ValueError, match=message):

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 
-from ppt_rl.evaluation.figures import plot_calibration
+from ppt_rl.evaluation.figures import one_legend, plot_calibration
 from ppt_rl.evaluation.study_figures import (
     _marginal,
     plot_boxes,
@@ -77,3 +80,38 @@ def test_difficulty_is_drawn_for_rates_at_their_bounds(tmp_path):
     curves = {"width [mm]": {"PPT": curve, "wall follower": curve}, "rise [cm]": {"PPT": curve}}
     plot_sweep(curves, tmp_path / "difficulty.png", usual={"width [mm]": (0.5, 1.5)})
     assert (tmp_path / "difficulty.png").stat().st_size > 5_000
+
+
+def test_intervals_of_one_value_do_not_overlap(monkeypatch):
+    figures = []
+    monkeypatch.setattr("ppt_rl.evaluation.study_figures.save_figure", lambda figure, path: figures.append(figure))
+    curve = ([30.0, 40.0, 60.0], [1.0, 1.0, 0.0], [(0.9, 1.0), (0.3, 1.0), (0.0, 0.1)])
+    plot_sweep({"width [mm]": {"PPT": curve, "ST": curve, "wall follower": curve}}, Path("never.png"), usual={})
+    bars = [sorted(path.vertices[0, 0] for path in c.get_paths()) for c in figures[0].axes[0].collections]
+    assert len(bars) == 3
+    assert len({round(x, 6) for bar in bars for x in bar}) == 9  # no two at one place
+    assert np.diff(sorted(x for bar in bars for x in bar)).min() > 0.01 * 30
+    assert len(figures[0].legends) == 1
+
+
+def test_one_legend_names_each_thing_once_and_stays_within_its_columns():
+    figure = Figure(layout="constrained")
+    for axes in figure.subplots(1, 3):
+        for name in "abcdefg":
+            axes.plot([0, 1], label=name)
+    one_legend(figure)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == list("abcdefg")
+    assert legend._ncols == 4
+
+
+def test_levels_of_a_tank_start_at_zero_and_every_panel_is_labelled(monkeypatch):
+    figures = []
+    monkeypatch.setattr("ppt_rl.evaluation.study_figures.save_figure", lambda figure, path: figures.append(figure))
+    column = np.linspace(0, 0.1, 30)[:, None]
+    episode = {"power": column, "tank_energy": 3 - column, "valve": np.ones_like(column)}
+    plot_tanks({"PPT": episode, "ST": episode}, Path("never.png"), p_max=2.0, e_max=3.0, dt=0.01)
+    panels = figures[0].axes
+    assert all(axes.get_ylabel() for axes in panels)
+    assert all(axes.get_ylim()[0] <= 0 for axes in panels)
+    assert len(figures[0].legends) == 1

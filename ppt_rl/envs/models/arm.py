@@ -1,4 +1,4 @@
-"""MJCF of an arm, shown by primitive shapes, and of the tool on its flange."""
+"""MJCF of an arm with its shells, and of the tool on its flange."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from ppt_rl.arms import Arm
+from ppt_rl.envs.models.shapes import shell_mesh
 from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.functional.argument_checks import require_numbers
 from ppt_rl.functional.checks import require_positive
 
 __all__ = ["CYLINDER", "PADDLE", "Tool", "arm_model", "attach_tool", "remove_visual_geoms"]
 
-_TOOL = (0.16, 0.42, 0.74, 1.0)
+#: Colours of the tool, and of what joins it to the flange and shows the end-effector point.
+_TOOL, _BRIGHT = (0.13, 0.36, 0.68, 1.0), (0.93, 0.94, 0.95, 1.0)
+#: By how much the ball at the end-effector point is larger than the tool there needs it to be [m].
+_TIP = 0.005
 #: Density of printed PLA [kg/m^3].
 _PLA = 1240.0
 
@@ -63,12 +67,14 @@ PADDLE = Tool(length=0.16, stem_radius=0.006, bar=(0.01, 0.12, 0.01))
 CYLINDER = Tool(length=0.12, stem_radius=0.0125)
 
 
-def _add_shells(body: Any, arm: Arm, link: int) -> None:
-    for shell in arm.shells:
+def _add_shells(root: Any, body: Any, arm: Arm, link: int) -> None:
+    for number, shell in enumerate(arm.shells):
         if shell.link == link:
+            vertices, triangles = shell_mesh(shell)
+            mesh = root.asset.add("mesh", name=f"shell{number}", vertex=vertices.ravel(), face=triangles.ravel())
             body.add(
-                "geom", type=shell.shape, size=[shell.radius], fromto=[*shell.start, *shell.end], rgba=shell.colour,
-                contype=0, conaffinity=0, group=2, mass=0,
+                "geom", name=f"shell{number}", type="mesh", mesh=mesh, rgba=shell.colour, contype=0, conaffinity=0,
+                group=2, mass=0,
             )  # fmt: skip
 
 
@@ -86,7 +92,7 @@ def arm_model(arm: Arm) -> Any:
     root = mjcf.RootElement(model=arm.name)
     root.compiler.angle = "radian"
     parent = root.worldbody.add("body", name="link0", gravcomp=1)
-    _add_shells(parent, arm, 0)
+    _add_shells(root, parent, arm, 0)
     for i, (offset, link) in enumerate(zip(arm.chain.offsets, arm.links, strict=True), start=1):
         parent = parent.add(
             "body", name=f"link{i}", pos=offset.position, quat=_orientation(offset.twist, offset.turn), gravcomp=1
@@ -96,7 +102,7 @@ def arm_model(arm: Arm) -> Any:
             "joint", name=f"joint{i}", type="hinge", axis=[0, 0, 1], range=arm.joints.position_limits[i - 1],
             limited=True, armature=arm.joints.armature[i - 1],
         )  # fmt: skip
-        _add_shells(parent, arm, i)
+        _add_shells(root, parent, arm, i)
         limit = arm.joints.torque_limits[i - 1]
         root.actuator.add("motor", name=f"motor{i}", joint=joint, ctrllimited=True, ctrlrange=[-limit, limit])
     # All positions before all velocities: each quantity is one contiguous slice of the sensor vector.
@@ -113,7 +119,9 @@ def _orientation(twist: float, turn: float) -> list[float]:
 
 
 def remove_visual_geoms(root: Any) -> None:
-    """Remove every geom that cannot collide; moving them along would take a quarter of the time of the physics.
+    """Remove every geom that cannot collide, with the meshes, materials and textures; what remains moves alike.
+
+    Moving them along would take a quarter of the time of the physics, and every environment has a copy of the model.
 
     Args:
         root: the model, changed in place.
@@ -121,6 +129,9 @@ def remove_visual_geoms(root: Any) -> None:
     for geom in root.find_all("geom"):
         if geom.contype == 0 and geom.conaffinity == 0:
             geom.remove()
+    for kind in ("mesh", "material", "texture"):
+        for asset in root.find_all(kind):
+            asset.remove()
 
 
 def attach_tool(root: Any, arm: Arm, tool: Tool) -> Any:
@@ -147,6 +158,11 @@ def attach_tool(root: Any, arm: Arm, tool: Tool) -> Any:
     if tool.bar is not None:
         half = [0.5 * side for side in tool.bar]
         body.add("geom", name="bar", type="box", size=half, pos=[0, 0, tool.length], **common)
+    visual: dict[str, Any] = {"rgba": _BRIGHT, "contype": 0, "conaffinity": 0, "group": 2, "mass": 0}
+    body.add("geom", name="adapter", type="cylinder", size=[2 * tool.stem_radius, 0.004], pos=[0, 0, 0.004], **visual)
+    body.add(
+        "geom", name="tip", type="sphere", size=[0.4 * tool.half_thickness + _TIP], pos=[0, 0, tool.length], **visual
+    )
     site = body.add("site", name="end_effector", pos=[0, 0, tool.length], size=[0.004], group=4)
     sensor = root.sensor
     sensor.add("framepos", name="position", objtype="site", objname=site)

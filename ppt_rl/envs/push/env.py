@@ -18,7 +18,7 @@ from ppt_rl.envs.push.box import Boxes
 from ppt_rl.envs.push.episode import PushDistances, PushEpisodes, PushRandomisation, check_start, draw_episodes
 from ppt_rl.envs.push.reference import PushReference, push_via_points
 from ppt_rl.envs.push.rewards import PushRewards
-from ppt_rl.envs.push.scene import PUSH_BOX, push_scene
+from ppt_rl.envs.push.scene import PUSH_BOX, push_scene, write_looks
 from ppt_rl.envs.readings import sensor_span
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
@@ -152,8 +152,8 @@ class PushEnv(ArmEnv):
         ]
         return [*written, Parameter("body_ipos", name, physical["com"].unsqueeze(1))] if self._moves_com else written
 
-    def _write_parameters(self, model: Any, row: int) -> None:
-        super()._write_parameters(model, row)
+    def _write_looks(self, model: Any, row: int) -> None:
+        write_looks(model, float(self._episode.half[row]), pose=self.goal == "pose")
         mark, half_yaw = model.body("goal"), 0.5 * float(self._episode.goal_yaw[row])
         mark.pos[:2] = self._episode.goal[row].cpu().numpy()
         mark.quat[:] = math.cos(half_yaw), 0, 0, math.sin(half_yaw)

@@ -80,6 +80,7 @@ class Obstacle:
         clamped: whether the masses of the plates are clamped; of several values, episodes take one in turn.
         hold: range of the time after first contact at which the first plate vanishes [s]; None where it stays.
         jump: distance by which the reference jumps towards the plate at a random moment [m].
+        at: where the middle of the front of the first plate stands, on the map [m]; None has it stand in the way.
 
     Raises:
         ValueError: if a number is out of range, or there are too few plates.
@@ -92,6 +93,7 @@ class Obstacle:
     clamped: tuple[bool, ...] = (True,)
     hold: tuple[float, float] | None = None
     jump: float = 0.0
+    at: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -106,6 +108,10 @@ class Obstacle:
             require_instance("an entry of Obstacle.plates", plate, Plate)
         if not isinstance(self.clamped, tuple) or not self.clamped:
             raise ValueError(f"Obstacle.clamped is {shown(self.clamped)}; expected a tuple of one truth value or more.")
+        if self.at is not None:
+            require_numbers("Obstacle.at", self.at, (2,), unit="m")
+            if len(self.plates) != 1:
+                raise ValueError(f"Obstacle.at places one plate, and there are {len(self.plates)}; expected one.")
         if self.hold is not None:
             low, high = (float(end) for end in require_numbers("Obstacle.hold", self.hold, (2,), unit="s"))
             if not 0 <= low <= high:

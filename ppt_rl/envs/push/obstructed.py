@@ -16,7 +16,7 @@ from ppt_rl.envs.push.obstacles import Obstacle, add_plates, facing, set_solid, 
 from ppt_rl.envs.push.scene import PUSH_BOX
 from ppt_rl.envs.row_generators import RowGenerators
 from ppt_rl.envs.specs import SpecMaker
-from ppt_rl.functional.argument_checks import require_instance
+from ppt_rl.functional.argument_checks import require_instance, require_numbers
 
 __all__ = ["ObstructedPushEnv"]
 
@@ -47,6 +47,9 @@ class ObstructedPushEnv(PushEnv):
         obstacle: the obstacle.
         **kwargs: as for :class:`PushEnv`.
 
+    Attributes:
+        obstacle_place: x and y of the middle of the front of the first plate [m], where it does not stand in the way.
+
     Raises:
         ValueError: if the physics' time step is above 0.5 ms, or as for :class:`PushEnv`.
     """
@@ -54,6 +57,7 @@ class ObstructedPushEnv(PushEnv):
     def __init__(self, num_envs: int = 1, *, obstacle: Obstacle, **kwargs: Any) -> None:
         require_instance("obstacle", obstacle, Obstacle)
         self.obstacle = obstacle
+        self.obstacle_place = obstacle.at
         super().__init__(num_envs, **kwargs)
         if self.engine_config.on(self.device) != "threads":
             raise ValueError(
@@ -127,6 +131,9 @@ class ObstructedPushEnv(PushEnv):
     def _place(self, rows: NDArray[np.int64]) -> None:
         """Where the fronts of the plates stand, and their heading."""
         episode, obstacle = self._episode, self.obstacle
+        if self.obstacle_place is not None:
+            self._front[rows], self._heading[rows] = (*self.obstacle_place, obstacle.plates[0].half_size[2]), 0.0
+            return
         if obstacle.place == "table":
             self._front[rows], self._heading[rows] = (0.5, 0.0, obstacle.rise), 0.0
             return
@@ -166,6 +173,21 @@ class ObstructedPushEnv(PushEnv):
         if lies:
             table = model.geom("table")
             table.pos[2], model.geom_sameframe[table.id] = obstacle.rise, 0
+
+    def move_obstacle(self, place: tuple[float, float]) -> None:
+        """Move the first plate, its normal along x, in every environment, at once and for the episodes to come.
+
+        Args:
+            place: x and y of the middle of its front [m].
+
+        Raises:
+            ValueError: if ``place`` is not two finite numbers.
+        """
+        x, y = (float(value) for value in require_numbers("place", place, (2,), unit="m"))
+        self.obstacle_place = x, y
+        self._place(np.arange(self.num_envs))
+        for row, model in enumerate(self.engine.models):
+            self._write_obstacle(model, row)
 
     # -- what happens -------------------------------------------------------------------------------------------------
 

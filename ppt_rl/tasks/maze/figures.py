@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 from ppt_rl.envs import MazeEnv, MazeLayout
 from ppt_rl.envs.maze.geometry import Corridor, build_corridor
 from ppt_rl.evaluation import Policy
-from ppt_rl.evaluation.figures import save_figure
+from ppt_rl.evaluation.figures import map_axes, one_legend, save_figure
 from ppt_rl.evaluation.study_figures import VARIANT_COLORS
 
 __all__ = ["draw_maze_episode", "plot_layout", "plot_rollouts"]
@@ -23,23 +23,21 @@ Array = NDArray[np.float64]
 _WALL, _FLOOR, _GREY = "#3c4654", "#b9b2a3", "#8a8f98"
 
 
-def _draw_map(axes: Any, corridor: Corridor, across: int = 0, along: int = 1) -> None:
-    """Walls and centre line from above."""
-    for face in corridor.faces:
-        axes.plot(*np.stack([face.begin, face.end])[:, [along, across]].T, color=_WALL, lw=1.5)
-    axes.plot(corridor.centre[:, along], corridor.centre[:, across], color=_GREY, ls="--", lw=1, label="centre line")
-    axes.set_xlabel("y [m]")
-    axes.set_ylabel("x [m]")
-    axes.invert_xaxis()
-    axes.set_aspect("equal")
+def _draw_map(axes: Any, corridor: Corridor) -> None:
+    """Walls and centre line from above, as the arm sees them."""
+    walls = [np.stack([face.begin, face.end]) for face in corridor.faces]
+    for wall in walls:
+        axes.plot(wall[:, 1], wall[:, 0], color=_WALL, lw=1.5)
+    axes.plot(corridor.centre[:, 1], corridor.centre[:, 0], color=_GREY, ls="--", lw=1, label="centre line")
+    x, y = np.concatenate(walls)[:, :2].T
+    map_axes(axes, x, y)
 
 
-def _draw_side(axes: Any, corridor: Corridor) -> None:
-    """Floor along y, from the side."""
+def _draw_side(axes: Any, corridor: Corridor, above: Any) -> None:
+    """Floor along y, from the side, below the map ``above``."""
     axes.plot(corridor.centre[:, 1], corridor.centre[:, 2], color=_FLOOR, lw=3, label="floor")
-    axes.set_xlabel("y [m]")
-    axes.set_ylabel("z [m]")
-    axes.invert_xaxis()
+    axes.set(xlabel="y, to the left [m]", ylabel="z, up [m]", xlim=above.get_xlim())
+    axes.grid(alpha=0.3)
 
 
 def plot_layout(layout: MazeLayout, path: Path) -> None:
@@ -50,16 +48,16 @@ def plot_layout(layout: MazeLayout, path: Path) -> None:
         path: path of the picture.
     """
     corridor = build_corridor(layout)
-    figure = Figure(figsize=(8, 5), layout="constrained")
+    figure = Figure(figsize=(8, 5.2), layout="constrained")
     above, side = figure.subplots(2, 1, height_ratios=(2, 1))
     _draw_map(above, corridor)
     above.plot(*corridor.centre[0, [1, 0]], "o", color=VARIANT_COLORS["ST"], label="start")
     above.plot(*corridor.centre[-1, [1, 0]], "s", color=VARIANT_COLORS["PPT"], label="end")
-    above.legend(loc="upper right", fontsize=8)
     above.set_title(
         f"{corridor.length:.2f} m long, {1e3 * layout.width:.0f} mm wide, friction {layout.friction:.2f}", fontsize=10
     )
-    _draw_side(side, corridor)
+    _draw_side(side, corridor, above)
+    one_legend(figure)
     save_figure(figure, path)
 
 
@@ -73,22 +71,22 @@ def plot_rollouts(layout: MazeLayout, rollouts: Mapping[str, Mapping[str, Array]
         path: path of the picture.
     """
     corridor = build_corridor(layout)
-    figure = Figure(figsize=(6.5 * len(rollouts), 6.5), layout="constrained")
-    panels = np.asarray(figure.subplots(2, len(rollouts), height_ratios=(2, 1), sharex="col")).reshape(2, -1)
+    figure = Figure(figsize=(6.5 * len(rollouts), 5.0), layout="constrained")
+    panels = np.asarray(figure.subplots(2, len(rollouts), height_ratios=(1.7, 1))).reshape(2, -1)
     for (above, side), (variant, rollout) in zip(panels.T, rollouts.items(), strict=True):
         _draw_map(above, corridor)
-        _draw_side(side, corridor)
+        _draw_side(side, corridor, above)
         color = VARIANT_COLORS.get(variant, _GREY)
         for row, steps in enumerate(rollout["steps"].astype(int)):
             x, y, z = rollout["pose"][row, :steps, :3].T
-            above.plot(y, x, color=color, lw=1, alpha=0.7)
+            above.plot(y, x, color=color, lw=1, alpha=0.7, label=variant)
             side.plot(y, z, color=color, lw=1, alpha=0.7)
         points = _via_points(rollout)
         if len(points):
             above.plot(points[:, 1], points[:, 0], ".", color="black", ms=3, label="via-points from touch")
             side.plot(points[:, 1], points[:, 2], ".", color="black", ms=3)
-        above.legend(loc="upper right", fontsize=8)
         above.set_title(f"{variant}: {len(rollout['steps'])} starts; from above and from the side", fontsize=10)
+    one_legend(figure)
     save_figure(figure, path)
 
 

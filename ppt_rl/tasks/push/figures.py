@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 
 from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Policy
-from ppt_rl.evaluation.figures import save_figure
+from ppt_rl.evaluation.figures import map_axes, one_legend, save_figure
 
 __all__ = ["draw_push_episode", "plot_push_episode"]
 
@@ -53,52 +53,55 @@ def plot_push_episode(
         e_max: tank capacity [J]; None where there is no tank.
         dt: control step [s].
     """
-    rows = [("power", "power [W]", p_max, "limit")]
+    rows = [("power", "power [W]", p_max)]
     if e_max is not None:
-        rows += [("tank_energy", "tank level [J]", e_max, "capacity"), ("valve", "valve [-]", 1.0, "open")]
-    figure = Figure(figsize=(12, 5.2), layout="constrained")
-    grid = figure.add_gridspec(len(rows), 2, width_ratios=(1.25, 1))
+        rows += [("tank_energy", "tank level [J]", e_max), ("valve", "valve [-]", 1.0)]
+    figure = Figure(figsize=(11, 5.6), layout="constrained")
+    grid = figure.add_gridspec(len(rows), 2, width_ratios=(1.1, 1))
     _draw_scene(figure.add_subplot(grid[:, 0]), episode)
     time = dt * np.arange(1, len(episode["power"]) + 1)
-    for row, (key, label, limit, name) in enumerate(rows):
+    for row, (key, label, limit) in enumerate(rows):
         values = episode[key]
         axes = figure.add_subplot(grid[row, 1])
+        axes.axhline(limit, color="black", ls="--", lw=1.0, label="limit of power, capacity, valve open")
         axes.plot(time, values[:, 0], color=_BLUE, lw=1.8)
-        axes.axhline(limit, color=_ORANGE, ls="--", lw=1.2, label=name)
         axes.set_ylabel(label)
-        axes.set_ylim(1.1 * min(0.0, float(values.min())), 1.12 * max(limit, float(values.max())))
+        axes.set_ylim(1.1 * min(0.0, float(values.min())) - 0.04 * limit, 1.12 * max(limit, float(values.max())))
         axes.grid(alpha=0.3)
-        axes.legend(loc="center right")
         if row < len(rows) - 1:
             axes.tick_params(labelbottom=False)
         else:
             axes.set_xlabel("time [s]")
+    one_legend(figure)
     save_figure(figure, path)
 
 
 def _draw_scene(axes: Axes, episode: Mapping[str, Array]) -> None:
+    """The table from above, as the arm sees it."""
     tool, box, half = episode["pose"], episode["box_pose"], 0.5 * float(episode["box_size"][0])
     corners = half * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-    for step in np.linspace(0, len(tool) - 1, 9).astype(int):
+    drawn = [episode["goal"] + 1.5 * corners]
+    for step in np.linspace(0, len(tool) - 1, 7).astype(int):
         alpha = 0.25 + 0.75 * step / len(tool)
-        axes.add_patch(Polygon(_placed(corners, box[step]), closed=True, fill=False, ec=_ORANGE, lw=1.5, alpha=alpha))
+        outline = _placed(corners, box[step])
+        axes.add_patch(Polygon(outline[:, ::-1], closed=True, fill=False, ec=_ORANGE, lw=1.5, alpha=alpha))
+        axes.plot(*outline[:2, ::-1].T, color=_ORANGE, lw=3.5, alpha=alpha, solid_capstyle="butt")
         bar = _placed(np.array([[0.0, -0.06], [0.0, 0.06]]), tool[step], tool_down=True)
-        axes.plot(bar[:, 0], bar[:, 1], color=_BLUE, lw=2.5, alpha=alpha, solid_capstyle="round")
-    axes.plot(tool[:, 0], tool[:, 1], color=_BLUE, lw=1, label="tool")
-    axes.plot(box[:, 0], box[:, 1], color=_ORANGE, lw=1, label="box")
+        axes.plot(bar[:, 1], bar[:, 0], color=_BLUE, lw=2.5, alpha=alpha, solid_capstyle="round")
+        drawn += [outline, bar]
+    axes.plot(tool[:, 1], tool[:, 0], color=_BLUE, lw=1, label="tool")
+    axes.plot(box[:, 1], box[:, 0], color=_ORANGE, lw=1, label="box (wide: its painted face)")
     if "goal_yaw" in episode:
         yaw = float(episode["goal_yaw"][0])
         turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-        outline = corners @ turn.T + episode["goal"]
+        outline = (corners @ turn.T + episode["goal"])[:, ::-1]
         axes.add_patch(Polygon(outline, closed=True, fill=False, ec=_GREEN, lw=1.5, ls="--", label="pose of the goal"))
     via = episode["via_position"]
-    axes.plot(via[:, 0], via[:, 1], "x", color="black", ms=8, mew=2, label="via-points")
-    axes.add_patch(Circle(tuple(episode["goal"]), 0.02, color=_GREEN, alpha=0.5, label="goal, 2 cm"))
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    axes.plot(via[:, 1], via[:, 0], "x", color="black", ms=8, mew=2, label="via-points")
+    axes.add_patch(Circle(tuple(episode["goal"][::-1]), 0.02, color=_GREEN, alpha=0.5, lw=0, label="goal, 2 cm"))
+    x, y = np.concatenate(drawn).T
+    map_axes(axes, x, y)
     axes.grid(alpha=0.3)
-    axes.legend(loc="best")
 
 
 def _placed(points: Array, pose: Array, *, tool_down: bool = False) -> Array:

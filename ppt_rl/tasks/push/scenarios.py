@@ -12,7 +12,10 @@ from ppt_rl.evaluation import Scenario, beside_the_reference
 from ppt_rl.tasks.push.config import make_push_env
 from ppt_rl.tasks.push.faults import JumpingReferenceTransform, WrongWrenchTransform
 
-__all__ = ["SCENARIOS"]
+__all__ = ["MOVABLE", "SCENARIOS"]
+
+#: A block that is moved by hand, in the live view: it begins beside the table's middle, out of the way.
+MOVABLE = Obstacle((Plate((0.02, 0.05, 0.05), WALL.stiffness),), place="box", at=(0.40, 0.32))
 
 #: How much too stiff the controller is [-], and by how much the wrench is late [control steps] or scaled [-].
 _STIFFER, _DELAY, _SCALE = 10.0, 2, 0.5

@@ -16,8 +16,8 @@ from ppt_rl.tasks.push.prior import PUSH_AXES
 
 __all__ = ["draw_push_study"]
 
-#: Pictures of a film strip, and the part of each that shows the table around the box [pixels].
-_PICTURES, _SIZE, _CROP = 6, (1280, 960), (slice(320, 880, 2), slice(480, 1200, 2))
+#: Pictures of a film strip, and the size of each [pixels].
+_PICTURES, _SIZE = 6, (480, 360)
 
 
 def draw_push_study(groups: Mapping[str, Sequence[KeptRun]], directory: Path) -> None:
@@ -46,7 +46,7 @@ def draw_push_study(groups: Mapping[str, Sequence[KeptRun]], directory: Path) ->
         times = [config.control_dt * (step + 1) for step in chosen]
         positions = np.concatenate([rollouts[key][0] for key in task.pictures.configuration], -1)[chosen]
         try:
-            strips[label] = [frame[_CROP] for frame in pictures(env, 0, positions, camera="overview", size=_SIZE)]
+            strips[label] = list(pictures(env, 0, positions, camera="close", size=_SIZE))
         except RuntimeError as error:
             print(f"no film strip: {error}")
             return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -13,7 +14,7 @@ from ppt_rl.evaluation import Claim, Pictures, Policy, Report, Task, ZeroPolicy
 from ppt_rl.tasks.push.config import PushConfig, make_push_env
 from ppt_rl.tasks.push.figures import draw_push_episode
 from ppt_rl.tasks.push.networks import PRIVILEGED
-from ppt_rl.tasks.push.scenarios import SCENARIOS
+from ppt_rl.tasks.push.scenarios import MOVABLE, SCENARIOS
 from ppt_rl.tasks.push.study_figures import draw_push_study
 
 __all__ = ["PUSH"]
@@ -65,8 +66,10 @@ PUSH = Task(
     ),
     pictures=Pictures(
         configuration=("joint_position", "box_pose"),
+        cameras=("overview", "close"),
         draw_episode=draw_push_episode,
         draw_study=draw_push_study,
     ),
     scenarios=SCENARIOS,
+    make_movable_env=partial(make_push_env, obstacle=MOVABLE),
 )

@@ -29,3 +29,18 @@ def test_rollouts_are_drawn_with_and_without_via_points(touched: bool, tmp_path:
     via = {"via_position": pose[:, :, None, :3], "via_mask": np.full((2, 9, 1), touched)}
     plot_rollouts(paper_layout(), {"PPT": rollout | via, "ST": rollout}, tmp_path / "rollouts.png")
     assert drawn(tmp_path / "rollouts.png")
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_every_map_has_y_to_the_left_however_many_there_are(count, monkeypatch):
+    figures = []
+    monkeypatch.setattr("ppt_rl.tasks.maze.figures.save_figure", lambda figure, path: figures.append(figure))
+    rollout = {"pose": np.tile([0.4, 0.0, 0.02, 0.0, 1.0, 0.0, 0.0], (1, 5, 1)), "steps": np.asarray([5])}
+    plot_rollouts(paper_layout(), {f"variant {number}": rollout for number in range(count)}, Path("never.png"))
+    plot_layout(paper_layout(), Path("never.png"))
+    for axes in (axes for figure in figures for axes in figure.axes):
+        assert axes.get_xlabel() == "y, to the left [m]"
+        assert axes.get_xlim()[0] > axes.get_xlim()[1]
+        assert axes.get_ylim()[0] < axes.get_ylim()[1]
+        assert axes.get_legend() is None
+    assert [len(figure.legends) for figure in figures] == [1, 1]

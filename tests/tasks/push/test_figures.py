@@ -30,9 +30,12 @@ def test_the_yaw_of_a_goal_is_drawn_as_an_outline_of_the_box():
     axes = Figure().add_subplot()
     _draw_scene(axes, episode | {"goal_yaw": np.array([0.5])})
     (outline,) = (patch for patch in axes.patches if patch.get_label() == "pose of the goal")
-    corners = outline.get_xy()[:4]
-    np.testing.assert_allclose(corners.mean(0), [0.6, 0.1])
+    corners = outline.get_xy()[:4]  # y along the horizontal axis, x along the vertical one
+    np.testing.assert_allclose(corners.mean(0), [0.1, 0.6])
     edge = corners[1] - corners[2]
-    assert np.arctan2(edge[1], edge[0]) == pytest.approx(0.5)
+    assert np.arctan2(edge[0], edge[1]) == pytest.approx(0.5)
+    right, left = axes.get_xlim()[::-1]
+    assert right < 0.1 < left  # y points to the left, as the arm sees it
+    assert axes.get_ylim()[0] < 0.45 < axes.get_ylim()[1]
     _draw_scene(without := Figure().add_subplot(), episode)
     assert "pose of the goal" not in [patch.get_label() for patch in without.patches]
