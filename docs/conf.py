@@ -23,6 +23,7 @@ extensions = [
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
+    "matplotlib.sphinxext.plot_directive",
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
     "code_roles",
@@ -31,7 +32,7 @@ extensions = [
     "repository_links",
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
-exclude_patterns = ["_build", "templates", "extensions", "tutorials/sg_execution_times.rst"]
+exclude_patterns = ["_build", "extensions", "figures", "templates", "**/sg_execution_times.rst", "sg_execution_times.rst"]
 templates_path = ["templates"]
 nitpicky = True
 
@@ -77,16 +78,25 @@ nitpick_ignore_regex = [
     (r"py:exc", r"[A-Z][A-Za-z]*(Error|Warning|Interrupt)"),
 ]
 
+# -- figures of the concepts: the scripts in figures/ ------------------------------------------------------------------
+
+plot_basedir = str(HERE)
+plot_formats = [("png", 110)]
+plot_html_show_formats = False
+plot_html_show_source_link = False
+plot_include_source = False
+
 # -- tutorials --------------------------------------------------------------------------------------------------------
 
 sphinx_gallery_conf = {
     "examples_dirs": "../examples/tutorials",
     "gallery_dirs": "tutorials",
     "filename_pattern": r"/\d\d_",
-    "ignore_pattern": r"__init__\.py",
+    "ignore_pattern": r"wind\.py",  # what the tutorials import
     "within_subsection_order": "FileNameSortKey",
     "nested_sections": False,
     "remove_config_comments": True,
+    "write_computation_times": False,
     "abort_on_example_error": True,
     "download_all_examples": False,
     "show_signature": False,

@@ -122,7 +122,7 @@ def summary(lines: list[str], document: nodes.document) -> str:
         The sentence.
     """
     paragraph = []
-    for line in lines:
+    for line in lines[2:] if lines[:2] == ["..", ""] else lines:
         if paragraph and not line.strip():
             break
         paragraph += [line.strip()] if line.strip() else []
@@ -148,7 +148,7 @@ def plain_property(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
         lines: its docstring, changed in place.
     """
     if what in ("attribute", "data", "property"):
-        lines.insert(0, "")
+        lines[:0] = ["..", ""]  # an empty comment, whose line is taken for the type
 
 
 def comments(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:

@@ -22,6 +22,7 @@ PAGES = {
     "CONTRIBUTING.md": "contributing.md",
     "docs": "index.md",
     "examples": "examples.md",
+    "examples/reach": "examples.md#reach",
     "examples/reacher.py": "examples.md#reacher",
     "examples/wipe": "examples.md#wipe",
     "pretrained": "results/policies.md",
@@ -30,7 +31,7 @@ PAGES = {
     "results": "results/index.md",
 }
 _LINK = re.compile(r"(!?\[(?:[^\[\]]|\[[^\]]*\])*\]\()([^)\s]+)(\))")
-_FENCE = re.compile(r"^(`{3,}|~{3,}|:{3,})")
+_FENCE = re.compile(r"^(`{3,}|~{3,})")
 
 
 def page_of(path: Path) -> str | None:
@@ -49,7 +50,10 @@ def page_of(path: Path) -> str | None:
         return PAGES[name]
     recipe = re.fullmatch(r"recipes/(\w+)\.py", name)
     if recipe:
-        return f"recipes.md#{recipe[1].replace('_', '-')}"
+        return f"recipes.md#{recipe[1]}"
+    table = re.fullmatch(r"results/(\w+)/(tables|collisions)\.md", name)
+    if table:
+        return f"results/tables/{table[1]}.md"
     result = re.fullmatch(r"results/(\w+)(/README\.md)?", name)
     if result and (DOCS / "results" / f"{result[1]}.md").is_file():
         return f"results/{result[1]}.md"
@@ -92,7 +96,7 @@ def rewritten(text: str, folder: Path, where: str) -> str:
     lines, fence = [], ""
     for line in text.split("\n"):
         mark = _FENCE.match(line)
-        if mark and not fence and "{" not in line:
+        if mark and not fence:
             fence = mark[1]
         elif fence and line.startswith(fence):
             fence = ""
