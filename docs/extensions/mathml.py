@@ -26,12 +26,21 @@ _INSTEAD = {
 #: Sizes that say neither left nor right.
 _SIZE = re.compile(r"\\(big|Big|bigg|Bigg)(?=([(\[|)\]]))")
 
+#: Arguments without braces, of which docutils takes more than TeX does.
+_BRACES = [
+    (re.compile(r"\\frac\s*(\w)\s*(\w)"), r"\\frac{\1}{\2}"),
+    (re.compile(r"\\frac\s*(\w)\s*(?=\{)"), r"\\frac{\1}"),
+    (re.compile(r"\\(dot|ddot|hat|bar|tilde)\s+(\w)"), r"\\\1{\2}"),
+]
+
 
 def _mathml(node: nodes.Element, *, block: bool) -> str:
     """MathML of a formula; one that cannot be drawn is a warning, which fails the build."""
     text = node.astext()
     for command, other in _INSTEAD.items():
         text = re.sub(re.escape(command) + r"(?![A-Za-z])", lambda _, other=other: other, text)
+    for pattern, other in _BRACES:
+        text = pattern.sub(other, text)
     text = _SIZE.sub(lambda size: "\\" + size[1] + ("r" if size[2] in ")]" else "l"), text)
     if block and (r"\\" in text or "&" in text) and r"\begin{" not in text.lstrip()[:7]:
         text = rf"\begin{{aligned}}{text}\end{{aligned}}"

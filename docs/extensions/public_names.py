@@ -1,7 +1,7 @@
 """Links in docstrings to the entries of the API reference, whatever module an object was defined in.
 
-A docstring names an object where it is defined (``ppt_rl.functional.tank_laws.rate_tank``); its entry stands where users
-import it from (``ppt_rl.functional.rate_tank``). A link to an object without an entry leads to no page, but the object
+A docstring names an object where it is defined (``ppt_rl.functional.tank_laws.rate_tank``); its entry stands where
+users import it from (``ppt_rl.functional.rate_tank``). A link to an object without an entry leads to no page, but the object
 has to exist; otherwise Sphinx warns, and the build fails.
 """
 
@@ -122,7 +122,7 @@ def summary(lines: list[str], document: nodes.document) -> str:
         The sentence.
     """
     paragraph = []
-    for line in lines[2:] if lines[:2] == ["..", ""] else lines:
+    for line in (line for line in lines if line.strip() != ".."):
         if paragraph and not line.strip():
             break
         paragraph += [line.strip()] if line.strip() else []

@@ -1,7 +1,7 @@
 """Links of the Markdown files as they work in the repository, turned into links of the site.
 
-A link to a page of the site leads there, one to a file of the repository offers it for download, and a picture is copied.
-A link that leads nowhere is a warning, which fails the build.
+A link to a page of the site leads there, one to a file of the repository offers it for download, and a picture is
+copied. A link that leads nowhere is a warning, which fails the build.
 """
 
 from __future__ import annotations

@@ -20,6 +20,8 @@ right.plot(seeds[:, 0], np.zeros(5), "o", label="five seeds, one failed")
 right.plot(seeds.mean(), 0.3, "s", color="grey", label="mean")
 found = iqm_interval(seeds)
 middle, (low, high) = found["iqm"], found["iqm_ci95"]
-right.errorbar(middle, 0.6, xerr=[[middle - low], [high - middle]], fmt="D", color="tab:red", label="interquartile mean, 95 %")
+right.errorbar(
+    middle, 0.6, xerr=[[middle - low], [high - middle]], fmt="D", color="tab:red", label="interquartile mean, 95 %"
+)
 right.set(xlabel="success", yticks=[], ylim=(-0.3, 1.6))
 right.legend(fontsize=8)

@@ -12,7 +12,13 @@ figure, (above, middle, below) = plt.subplots(3, 1, figsize=(8, 6), sharex=True,
 above.plot(time, force * velocity, "--", color="grey", label="asked for")
 for name, law in TANK_LAWS.items():
     level, rows = torch.full((1, 1), 1.0), []
-    more = {"damping": torch.zeros(1, 1)} if name == "parallel" else {"inertia": torch.tensor([3.0])} if name == "rate" else {}
+    more = (
+        {"damping": torch.zeros(1, 1)}
+        if name == "parallel"
+        else {"inertia": torch.tensor([3.0])}
+        if name == "rate"
+        else {}
+    )
     for f, v in zip(force.view(-1, 1, 1), velocity.view(-1, 1, 1), strict=True):
         if name == "parallel":  # the braking part of the damper, here all that brakes
             more = {"damping": torch.where(f * v < 0, f, 0.0)}

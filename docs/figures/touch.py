@@ -19,6 +19,7 @@ ahead = torch.tensor([0.012, 0.024, 0.036]).unsqueeze(-1)
 points = ahead * felt.tangent - 0.002 * felt.normal  # [m]
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
 for axes, angle, title in ((left, torch.zeros(1, 1), "world"), (right, heading, "heading frame")):
+
     def turned(vector, angle=angle):
         three = torch.cat([vector, torch.zeros(*vector.shape[:-1], 1)], -1)
         return 100 * to_heading(three, angle.expand(len(three), 1))[:, :2]

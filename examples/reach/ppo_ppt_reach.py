@@ -1,7 +1,7 @@
 """The smallest task: the tool reaches a point over the table. ``ppt-rl train examples/reach/ppo_ppt_reach.py``.
 
-It shows every part that a task needs and no more. Behind its tank of 2 W and 1 J, the reference alone is too slow for the
-farther points: half a minute of learning shows that training works, not more.
+It shows every part that a task needs and no more. Behind its tank of 2 W and 1 J, the reference alone is too slow for
+the farther points: half a minute of learning shows that training works, not more.
 """
 
 from __future__ import annotations

@@ -10,8 +10,9 @@ the policy, its recipe and its movement primitive are part of it.
 # The whole thing
 # ---------------
 #
-# A :class:`~ppt_rl.Policy` is an actor together with the chain of transforms that it was trained through. Its environment
-# simulates a Panda with a paddle; the actor decides **once per episode**: one action is a whole motion of 1.5 s.
+# A :class:`~ppt_rl.Policy` is an actor together with the chain of transforms that it was trained through. Its
+# environment simulates a Panda with a paddle; the actor decides **once per episode**: one action is a whole motion of
+# 1.5 s.
 
 import torch
 
@@ -29,8 +30,8 @@ for row in range(8):
     print(f"box {row}: {verdict:11s}  largest power {power:.2f} W, work {work:.2f} J")
 
 # %%
-# ``rollout(1, ...)`` is one policy step. Within it the chain ran 150 control steps at 100 Hz, and the engine 3,000 steps of
-# the physics. An action has one number for each weight of the movement primitive:
+# ``rollout(1, ...)`` is one policy step. Within it the chain ran 150 control steps at 100 Hz, and the engine 3,000
+# steps of the physics. An action has one number for each weight of the movement primitive:
 
 print("action:", tuple(rollout["action"].shape), "- control steps:", end["control_steps"].flatten().tolist())
 
@@ -38,8 +39,8 @@ print("action:", tuple(rollout["action"].shape), "- control steps:", end["contro
 # What the policy saw, and what it did not
 # ----------------------------------------
 #
-# The environment of a test leaves out the privileged observations, such as the pose of the box while it moves. What remains
-# is known before the push: where the box stands, how large it is, and where it should go.
+# The environment of a test leaves out the privileged observations, such as the pose of the box while it moves. What
+# remains is known before the push: where the box stands, how large it is, and where it should go.
 
 keys = [key for key in policy.actor.in_keys if isinstance(key, str)]
 print("the policy reads:", ", ".join(sorted(keys)))
@@ -48,8 +49,8 @@ print("the policy reads:", ", ".join(sorted(keys)))
 # Look at it
 # ----------
 #
-# :func:`~ppt_rl.evaluation.record_episodes` records any observation at every control step. With ``privileged=True`` the
-# pose of the box is there to be drawn; the policy still does not read it.
+# :func:`~ppt_rl.evaluation.record_episodes` records any observation at every control step. With ``privileged=True``
+# the pose of the box is there to be drawn; the policy still does not read it.
 
 import matplotlib.pyplot as plt
 import numpy as np

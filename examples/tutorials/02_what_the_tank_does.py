@@ -3,16 +3,16 @@ What the tank does
 ==================
 
 An energy tank is a budget. It looks at the power of an effort, lets at most ``p_max`` through, and pays for what passes
-from a store that holds ``e_max``. This page shows the law alone, then on a simulated arm, and then what it does *not* do:
-a blocked tool.
+from a store that holds ``e_max``. This page shows the law alone, then on a simulated arm, and then what it does *not*
+do: a blocked tool.
 """
 
 # %%
 # The law alone
 # -------------
 #
-# :func:`~ppt_rl.functional.energy_tank` is a pure function of effort, velocity and level. Take a force that swings between
-# 0 and 10 N, on something that moves at 0.5 m/s, so that it asks for up to 5 W:
+# :func:`~ppt_rl.functional.energy_tank` is a pure function of effort, velocity and level. Take a force that swings
+# between 0 and 10 N, on something that moves at 0.5 m/s, so that it asks for up to 5 W:
 
 import matplotlib.pyplot as plt
 import torch
@@ -43,8 +43,8 @@ rows[2].set(ylabel="valve [-]", xlabel="time [s]")
 plt.show()
 
 # %%
-# The valve first holds the power at 2 W. When the level reaches zero, nothing passes any more: the energy of the whole
-# record is bounded by what was in the tank.
+# The valve first holds the power at 2 W. When the level reaches zero, nothing passes any more: the energy of the
+# whole record is bounded by what was in the tank.
 
 print(f"largest power {passed.max():.3f} W, energy {dt * passed.sum():.3f} J of {e_max} J")
 
@@ -79,9 +79,9 @@ plt.show()
 # A blocked tool
 # --------------
 #
-# Power is force times velocity. A tool that is blocked does not move, so its power is zero, and **a tank lets any force
-# pass**. We put a wall where the tool runs into it at full speed and read the force at the wrist. The second row has a
-# governor of the reference in its chain (``ppt_safe_push``), which bounds the force on a tool that is held still.
+# Power is force times velocity. A tool that is blocked does not move, so its power is zero, and **a tank lets any
+# force pass**. We put a wall where the tool runs into it at full speed and read the force at the wrist, for three
+# policies: without a tank, behind one, and behind one with a governor of the reference (``ppt_safe_push``).
 
 from ppt_rl.envs.push import WALL, Obstacle
 from ppt_rl.tasks.push import make_push_env
@@ -106,10 +106,10 @@ axes[2].set(xlabel="time [s]", ylabel="level [J]")
 plt.show()
 
 # %%
-# The peak at contact is an impact: it happens within one control step, and no layer sees it coming. After it, the power
-# falls to zero in every row. The force that remains is what spring and damper still ask for: without a tank it is largest;
-# behind a tank it depends on how much was left in the tank; behind a governor it has a bound.
-# :doc:`/safety` measures all of this at 2 kHz, in 256 episodes of each of eight scenarios.
+# The peaks are impacts: they happen within one control step, and no layer sees them coming. Without a tank, the force
+# then stays where spring and damper want it, although the power has fallen to zero. Behind a tank little force is
+# left here, but only **because the tank is empty** by then; where it is not, nothing limits the force. Only the
+# governor has a bound on it. :doc:`/safety` measures this at 2 kHz, in 256 episodes of each of eight scenarios.
 #
 # Other laws
 # ----------

@@ -3,16 +3,16 @@ Via-points and the posterior
 ============================
 
 A probabilistic movement primitive (ProMP) is a normal distribution over trajectories. Conditioning it on a few points
-gives another one, in closed form: smooth, through the points, and uncertain elsewhere. This is where the method gets its
-reference from, before anything is learnt.
+gives another one, in closed form: smooth, through the points, and uncertain elsewhere. This is where the method gets
+its reference from, before anything is learnt.
 """
 
 # %%
 # A prior from demonstrations
 # ---------------------------
 #
-# A trajectory is ``y(phase) = Phi(phase) W``: six basis functions, weighted. Fifty demonstrations of a reach with a bump,
-# of different heights and lengths, give mean and covariance of the weights.
+# A trajectory is ``y(phase) = Phi(phase) W``: six basis functions, weighted. Fifty demonstrations of a reach with a
+# bump, of different heights and lengths, give mean and covariance of the weights.
 
 import matplotlib.pyplot as plt
 import torch
@@ -51,8 +51,8 @@ middle.legend()
 # Conditioning on via-points
 # --------------------------
 #
-# A via-point is a phase, a position and a covariance: how much it matters. All are conditioned on at once; an order does
-# not exist. Masked entries have no effect, so a batch may hold different numbers of via-points.
+# A via-point is a phase, a position and a covariance: how much it matters. All are conditioned on at once; an order
+# does not exist. Masked entries have no effect, so a batch may hold different numbers of via-points.
 
 phase = torch.tensor([0.4, 1.0])
 position = torch.tensor([[0.22], [0.30]])
@@ -67,8 +67,8 @@ right.legend()
 plt.show()
 
 # %%
-# Far from the via-points the posterior keeps the shape of the demonstrations. The mean passes the first via-point closer
-# than the second, because its covariance is smaller.
+# Far from the via-points the posterior keeps the shape of the demonstrations. The mean passes the first via-point
+# closer than the second, because its covariance is smaller.
 
 reached = promp.decode(unvec(posterior.mean, 6), phase)[0]
 print("asked for", position[:, 0].tolist(), "- mean", [round(float(y), 4) for y in reached[:, 0]])
@@ -86,9 +86,10 @@ print(f"largest velocity {velocity.abs().max():.2f} m/s, largest acceleration {a
 # In the task
 # -----------
 #
-# Pushing has three via-points in x, y and yaw: where the tool stands, behind the box, and touching the box at its goal.
-# :class:`~ppt_rl.transforms.ViaPointTransform` conditions the prior on them at every policy step and writes the posterior
-# under ``weights_mean``; the policy adds a residual to it. With a residual of zero you see the reference alone:
+# Pushing has three via-points in x, y and yaw: where the tool stands, behind the box, and touching the box at its
+# goal. :class:`~ppt_rl.transforms.ViaPointTransform` conditions the prior on them at every policy step and writes the
+# posterior under ``weights_mean``; the policy adds a residual to it. With a residual of zero you see the reference
+# alone:
 
 from ppt_rl.envs import PushEnv
 from ppt_rl.tasks.push import fit_push_prior

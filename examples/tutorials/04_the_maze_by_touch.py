@@ -32,8 +32,8 @@ layout = MazeLayout(
 # One episode
 # -----------
 #
-# ``make_env(given=[...])`` takes layouts in the place of random ones. The policy decides every 0.15 s, and at once when it
-# feels a new wall.
+# ``make_env(given=[...])`` takes layouts in the place of random ones. The policy decides every 0.15 s, and at once
+# when it feels a new wall.
 
 import ppt_rl
 from ppt_rl.evaluation import record_episodes
@@ -50,8 +50,8 @@ print("reached the end:", bool(episode["success"]), f"after {0.01 * steps:.1f} s
 # What it felt
 # ------------
 #
-# Every touch becomes a via-point along the wall: the force says on which side the wall is, the motion gives its direction.
-# A dot is a via-point that was in the buffer at some time.
+# Every touch becomes a via-point along the wall: the force says on which side the wall is, the motion gives its
+# direction. A dot is a via-point that was in the buffer at some time.
 
 import matplotlib.pyplot as plt
 import torch
@@ -59,7 +59,7 @@ import torch
 time = 0.01 * torch.arange(1, steps + 1)
 points = trace["via_position"][trace["via_mask"]].unique(dim=0)
 
-figure, (above, force) = plt.subplots(2, 1, figsize=(9, 7), layout="constrained", height_ratios=(2, 1))
+figure, (above, force) = plt.subplots(2, 1, figsize=(9, 5), layout="constrained")
 above.plot(trace["pose"][:, 1], trace["pose"][:, 0], color="tab:red", label="tool")
 above.plot(points[:, 1], points[:, 0], "k.", ms=3, label="via-points from touch")
 arrows = slice(None, None, 60)
@@ -76,17 +76,19 @@ force.set(xlabel="time [s]", ylabel="horizontal force [N]", title="at the wrist"
 plt.show()
 
 # %%
-# Via-points gather where the corridor turns: this is where the tool meets a wall. Between them the heading follows the
-# motion. In the heading frame a turn looks like a straight corridor that is entered at an angle, which is why straight
-# corridors are enough to train on (:doc:`/concepts/touch`).
+# Via-points gather where the corridor turns: this is where the tool meets a wall. Between them the heading follows
+# the motion. In the heading frame a turn looks like a straight corridor that is entered at an angle, which is why
+# straight corridors are enough to train on (:doc:`/concepts/touch`).
 #
 # How hard it is
 # --------------
 #
-# Random mazes come from :meth:`~ppt_rl.envs.MazeEnv.mazes`. The metrics of an episode are measured on the way, whoever acts:
+# Random mazes come from :meth:`~ppt_rl.envs.MazeEnv.mazes`. The metrics of an episode are measured on the way,
+# whoever acts:
 
 env = policy.make_env(num_envs=4, seed=11)
-rollout = env.rollout(200, policy.actor, break_when_any_done=False, break_when_all_done=True)
+with torch.no_grad():
+    rollout = env.rollout(200, policy.actor, break_when_any_done=False, break_when_all_done=True)
 done = rollout["next", "done"].squeeze(-1)
 first = done.int().argmax(1)
 end = rollout["next"][torch.arange(4), first]

@@ -20,9 +20,9 @@ torchrl's own parts. At the end a policy has learnt to lean into a wind.
 # The method is a list
 # --------------------
 #
-# One action is a residual on the weights of a movement primitive, that is, a whole motion of one second. A PD controller
-# tracks it, behind a tank at the motor. The reference moves smoothly from where the mass stands to the target; this is the
-# function ``towards``, which takes the place of via-points here.
+# One action is a residual on the weights of a movement primitive, that is, a whole motion of one second. A PD
+# controller tracks it, behind a tank at the motor. The reference moves smoothly from where the mass stands to the
+# target; this is the function ``towards``, which takes the place of via-points here.
 
 import matplotlib.pyplot as plt
 import torch
@@ -68,8 +68,8 @@ actor, critic = make_actor_critic(env, keys, keys, initial_scale=0.3)
 # PPO, written out
 # ----------------
 #
-# An episode is one policy step, so a batch of 256 episodes is 256 decisions. ``Learner`` in :mod:`ppt_rl.training` does
-# the same with an adaptive learning rate; here are its parts.
+# An episode is one policy step, so a batch of 256 episodes is 256 decisions. ``Learner`` in :mod:`ppt_rl.training`
+# does the same with an adaptive learning rate; here are its parts.
 
 loss_of = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_bonus=False, normalize_advantage=True)
 advantage = GAE(gamma=1.0, lmbda=0.95, value_network=critic)

@@ -11,8 +11,8 @@ A tank bounds the energy of every episode, whatever the policy does. Constrained
 # ------
 #
 # A cost is an entry ``("next", "cost")``. Here it is the work of an episode, ``sum |force . velocity| dt``.
-# :class:`~ppt_rl.transforms.PowerLimitTransform` writes it from a measured force and velocity; a limit of zero makes it the
-# whole work. It stands before the macro step, which sums the cost over the episode. The chain has no tank.
+# :class:`~ppt_rl.transforms.PowerLimitTransform` writes it from a measured force and velocity; a limit of zero makes
+# it the whole work. It stands before the macro step, which sums the cost over the episode. The chain has no tank.
 
 import matplotlib.pyplot as plt
 import torch
@@ -52,9 +52,9 @@ def make_env(num_envs, seed):
 # A limit and its multiplier
 # --------------------------
 #
-# The policy improves on ``(reward - lambda cost) / (1 + lambda)``. After every batch a PID controller moves ``lambda`` by
-# how far the mean cost is above the limit, so nobody has to find the weight of a penalty by trial. Reward and cost have a
-# critic each (:class:`~ppt_rl.training.ConstrainedLearner`).
+# The policy improves on ``(reward - lambda cost) / (1 + lambda)``. After every batch a PID controller moves
+# ``lambda`` by how far the mean cost is above the limit, so nobody has to find the weight of a penalty by trial.
+# Reward and cost have a critic each (:class:`~ppt_rl.training.ConstrainedLearner`).
 
 KEYS = ("target", "wind")
 
@@ -82,7 +82,9 @@ def train(limit, batches=45):
 runs = {limit: train(limit) for limit in (100.0, 1.2)}
 
 # %%
-# A limit of 100 J never binds; its multiplier stays at zero, and an update is that of PPO.
+# A limit of 100 J never binds; its multiplier stays at zero, and an update is that of PPO. With the lower limit the
+# policy first learns to be thrifty, then to arrive, more slowly. Once the mean is below the limit, the multiplier
+# falls again: a limit is no price, and what is below it costs nothing.
 
 figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
 for limit, (_, log) in runs.items():
@@ -110,5 +112,5 @@ for limit, (actor, log) in runs.items():
 
 # %%
 # The limit is one of the mean while exploring, and exploring costs work too, so without it the mean is lower. Single
-# episodes exceed it. Where no episode may, put a tank into the chain. Both together are what :doc:`/results/safety` measures
-# on the Panda: a policy that has learnt to be thrifty loses little when a tank is added afterwards.
+# episodes exceed it. Where no episode may, put a tank into the chain. Both together are what :doc:`/results/safety`
+# measures on the Panda: a policy that has learnt to be thrifty loses little when a tank is added afterwards.

@@ -11,9 +11,9 @@ from torchrl.envs import EnvBase
 class Wind(EnvBase):
     """Bring a mass of 1 kg to a target within a second, through a wind that blows in the middle of the way.
 
-    The action is a force in x and y [N]. Position, velocity, the last force, target and wind are observed. The reward is the negative
-    squared distance to the target at the end [m^2], times 100, and 0 before. Everything is batched: all environments step
-    together.
+    The action is a force in x and y [N]. Position, velocity, the last force, target and wind are observed. The reward
+    is the negative squared distance to the target at the end [m^2], times 100, and 0 before. Everything is batched: all
+    environments step together.
 
     Args:
         num_envs: number of environments.
