@@ -47,7 +47,9 @@ def test_every_public_name_has_an_entry_in_the_reference(root):
         if name not in NO_ENTRY
         and not any(last == name.rpartition(".")[2] and value is value_of(name) for last, value in entries)
     ]
-    assert not missing, f"{missing} are public, but no page in docs/api lists them; add them to the page of their package."
+    assert not missing, (
+        f"{missing} are public, but no page in docs/api lists them; add them to the page of their package."
+    )
 
 
 def test_every_entry_exists_once(root):
@@ -98,4 +100,6 @@ def test_a_docstring_has_a_section_for_arguments_and_one_for_what_is_returned(na
     assert not missing, f"{name} does not document {missing} under Args"
     returns = inspect.signature(value).return_annotation
     if not prose and returns not in (None, "None", inspect.Signature.empty, "NoReturn") and "contextmanager" not in doc:
-        assert section(doc, "Returns") or section(doc, "Yields"), f"{name} returns {returns}, but has no section Returns"
+        assert section(doc, "Returns") or section(doc, "Yields"), (
+            f"{name} returns {returns}, but has no section Returns"
+        )

@@ -2,12 +2,11 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from ppt_rl.functional import TANK_LAWS
 from tests.docs.test_api_reference import PACKAGES, listed, public_names
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,7 +18,7 @@ PAGES = sorted(
 )
 TUTORIALS = sorted((ROOT / "examples" / "tutorials").glob("[0-9]*.py"))
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
-GUIDES = [p for p in PAGES if p.is_relative_to(ROOT / "docs") and "```python" in p.read_text() and p.stem != "method"]
+GUIDES = [p for p in PAGES if p.is_relative_to(ROOT / "docs") and "```python" in p.read_text()]
 
 
 def name(path):
@@ -47,12 +46,16 @@ def test_every_link_of_a_page_leads_to_a_file_and_to_a_heading_in_it(page):
 
 
 @pytest.mark.parametrize("page", GUIDES, ids=name)
-def test_the_python_on_a_page_runs(page, tmp_path):
+def test_the_python_on_a_page_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    laws = dict(TANK_LAWS)
     blocks = re.findall(r"^( *)```python\n(.*?)^ *```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    script = tmp_path / "page.py"
-    script.write_text("\n".join(re.sub(rf"^{indent}", "", code, flags=re.MULTILINE) for indent, code in blocks))
-    run = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
+    code = "\n".join(re.sub(rf"^{indent}", "", text, flags=re.MULTILINE) for indent, text in blocks)
+    try:
+        exec(compile(code, name(page), "exec", dont_inherit=True), {"__name__": "page"})
+    finally:
+        TANK_LAWS.clear()
+        TANK_LAWS.update(laws)
 
 
 def test_the_guides_are_among_the_pages_that_run():
