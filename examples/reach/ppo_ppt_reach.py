@@ -134,7 +134,7 @@ def make_chain(config: Config, base: ReachEnv, promp: ProMP) -> list[Transform]:
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),
-        MacroStepTransform(),
+        MacroStepTransform(config.horizon),  # the whole episode; films and recordings need the number
         ProMPTransform(promp, TaskSpace(("x", "y"), base.start_pose)),
         ViaPointTransform(promp),
     ]

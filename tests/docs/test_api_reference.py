@@ -96,7 +96,8 @@ def test_a_docstring_has_a_section_for_arguments_and_one_for_what_is_returned(na
         return
     prose = len(doc.splitlines()) == 1 or section(doc, "Args") is None
     text = doc if prose else section(doc, "Args")
-    missing = [p for p in parameters if not re.search(rf"\*{{0,2}}\b{p}\b", text)]
+    entry = r"\b{}\b" if prose else r"^ *(?:[*\w]+, )*\*{{0,2}}{}(?:, [*\w]+)*:"
+    missing = [p for p in parameters if not re.search(entry.format(p), text, re.MULTILINE)]
     assert not missing, f"{name} does not document {missing} under Args"
     returns = inspect.signature(value).return_annotation
     if not prose and returns not in (None, "None", inspect.Signature.empty, "NoReturn") and "contextmanager" not in doc:
