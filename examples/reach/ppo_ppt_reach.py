@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.envs import Transform, TransformedEnv
 
 from ppt_rl.envs import ArmEnv
-from ppt_rl.envs.arm import Rows
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.evaluation import Recipe, Task
@@ -45,18 +43,20 @@ class ReachEnv(ArmEnv):
 
     def _prepare(self, model: Any) -> None:
         """Allocate the state of the episodes."""
-        self._goal, self._first = torch.zeros(self.num_envs, 2), torch.ones(self.num_envs, 1)
+        self._start = torch.tensor(self.start_pose[:2], device=self.place)
+        self._goal = torch.zeros(self.num_envs, 2, device=self.place)
+        self._first = torch.ones(self.num_envs, 1, device=self.place)
 
-    def _begin(self, rows: Rows) -> np.ndarray:
+    def _begin(self, rows: Tensor) -> Tensor:
         """Draw episodes; the arm starts where every arm does."""
         drawn = self._generators.uniform(rows, 2)  # (R, 2) in [0, 1), from each environment's own generator
-        self._goal[rows] = torch.from_numpy(np.array([0.5, -0.15]) + np.array([0.15, 0.3]) * drawn).float()
+        self._goal[rows] = (drawn.new_tensor([0.5, -0.15]) + drawn.new_tensor([0.15, 0.3]) * drawn).to(self.dtype)
         return super()._begin(rows)
 
     def _task_reset(self, rows: Tensor) -> dict[str, Any]:
-        start = torch.tensor(self.start_pose[:2])
-        self._first[rows] = (self._goal - start).norm(dim=-1, keepdim=True)[rows]
-        return self._observe(self._first, zero_rewards(self.num_envs, self.dtype, GROUPS), self._elapsed < 0)
+        self._first[rows] = (self._goal - self._start).norm(dim=-1, keepdim=True)[rows]
+        zeros = zero_rewards(self.num_envs, self.dtype, GROUPS, device=self.place)
+        return self._observe(self._first, zeros, self._elapsed < 0)
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         distance = (observation["pose"][:, :2] - self._goal).norm(dim=-1, keepdim=True)  # [m]
@@ -68,12 +68,12 @@ class ReachEnv(ArmEnv):
         return self._observe(distance, terms, success) | {"reward": total_reward(terms)}
 
     def _observe(self, distance: Tensor, terms: dict[str, Tensor], success: Tensor) -> dict[str, Any]:
-        start = torch.tensor(self.start_pose[:2]).expand(self.num_envs, 2)
+        like = self._goal
         return {
-            "goal": self._goal.clone(),
-            "via_phase": torch.tensor([0.0, 0.9]).repeat(self.num_envs, 1),
-            "via_position": torch.stack([start, self._goal], 1),  # (num_envs, 2 via-points, 2 coordinates)
-            "via_cov": (1e-6 * torch.eye(2)).repeat(self.num_envs, 2, 1, 1),
+            "goal": like.clone(),
+            "via_phase": like.new_tensor([0.0, 0.9]).repeat(self.num_envs, 1),
+            "via_position": torch.stack([self._start.expand_as(like), like], 1),  # (num_envs, 2 points, 2 coordinates)
+            "via_cov": (1e-6 * torch.eye(2, device=self.place)).repeat(self.num_envs, 2, 1, 1),
             "progress": (1 - distance / self._first).clamp(0.0, 1.0),
             "success": success,
             "reward_terms": terms,
