@@ -30,6 +30,7 @@ _SIZE = re.compile(r"\\(big|Big|bigg|Bigg)(?=([(\[|)\]]))")
 _BRACES = [
     (re.compile(r"\\frac\s*(\w)\s*(\w)"), r"\\frac{\1}{\2}"),
     (re.compile(r"\\frac\s*(\w)\s*(?=\{)"), r"\\frac{\1}"),
+    (re.compile(r"\\(dot|ddot|hat|bar|tilde)\s*\{?(\w)\}?_(\w|\{[^{}]*\})"), r"\\\1{\2_\3}"),
     (re.compile(r"\\(dot|ddot|hat|bar|tilde)\s+(\w)"), r"\\\1{\2}"),
 ]
 
