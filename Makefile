@@ -5,7 +5,7 @@ PY := $(VENV)/bin/python
 PPT_RL := $(VENV)/bin/ppt-rl
 RUN := runs/ppt_push
 
-.PHONY: demo push study test check bench clean
+.PHONY: demo push study test check bench docs clean
 
 # Judge the published PPT policy: tables, figure and video in runs/demo.
 demo: $(VENV)/.installed
@@ -35,10 +35,20 @@ check: $(VENV)/.installed
 bench: $(VENV)/.installed
 	$(PY) benchmarks/step_rate.py
 
+# Build the documentation site, with every tutorial run, and fail on any warning: docs/_build/html/index.html.
+docs: $(VENV)/.docs
+	rm -rf docs/_build docs/api/generated docs/tutorials
+	OMP_NUM_THREADS=1 $(PY) -m sphinx --fail-on-warning --keep-going --nitpicky -b html docs docs/_build/html
+
 clean:
+	rm -rf docs/_build docs/api/generated docs/tutorials
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 $(VENV)/.installed: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,docs]'
 	touch $@

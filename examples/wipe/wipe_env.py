@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 from torchrl.data import Composite
 
 from ppt_rl.envs import ArmEnv
-from ppt_rl.envs.arm import Rows
 from ppt_rl.envs.episodes import Episodes
 from ppt_rl.envs.models import table_scene
+from ppt_rl.envs.physics import Parameter
 from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_rewards
 from ppt_rl.envs.specs import SpecMaker
 
@@ -49,8 +48,8 @@ class WipeEpisodes(Episodes):
         self.drawn = self.zeros(len(RANGES))
         self.begin, self.along, self.via_position = self.zeros(2), self.zeros(2), self.zeros(3, 3)
         self.front, self.wiped = self.zeros(1), self.zeros(1)  # shares of the line: reached, wiped
-        self.via_phase = self.zeros(3) + torch.tensor(_VIA_PHASE, dtype=self.dtype)
-        self.via_cov = self.zeros(3, 3, 3) + _VIA_STD**2 * torch.eye(3, dtype=self.dtype)
+        self.via_phase = self.zeros(3) + torch.tensor(_VIA_PHASE, dtype=self.dtype, device=self.device)
+        self.via_cov = self.zeros(3, 3, 3) + _VIA_STD**2 * torch.eye(3, dtype=self.dtype, device=self.device)
 
     def __getattr__(self, name: str) -> Tensor:
         """A drawn quantity, ``(num_envs, 1)``."""
@@ -74,6 +73,7 @@ class WipeEnv(ArmEnv):
     """
 
     horizon_terminates = True
+    _written = ("body_pos", "pair_friction")
     start_pose = (0.40, 0.0, BOARD + 0.018, 0.0, 1.0, 0.0, 0.0)
 
     def _scene(self) -> Any:
@@ -91,37 +91,40 @@ class WipeEnv(ArmEnv):
         return root
 
     def _prepare(self, model: Any) -> None:
-        self._episode = WipeEpisodes(self.num_envs, self.dtype)
+        self._episode = WipeEpisodes(self.num_envs, self.dtype, self.place)
 
-    def _begin(self, rows: Rows) -> np.ndarray:
-        episode, index = self._episode, torch.from_numpy(rows)
-        low, high = np.asarray(list(RANGES.values())).T
+    def _begin(self, rows: Tensor) -> Tensor:
+        episode = self._episode
+        low, high = torch.tensor(list(RANGES.values()), dtype=torch.float64, device=self.place).T
         drawn = low + (high - low) * self._generators.uniform(rows, len(RANGES))
-        episode.replace(index, drawn=drawn, front=0.0, wiped=0.0)
+        episode.replace(rows, drawn=drawn, front=0.0, wiped=0.0)
         along = torch.cat([episode.direction.cos(), episode.direction.sin()], -1)
         begin = torch.cat([episode.begin_x, episode.begin_y], -1)
         depth = BOARD + self.tool.half_thickness - episode.wanted_force / STIFFNESS  # of the paddle's centre [m]
         landing, end = begin - _RUN_UP * along, begin + (episode.length + _RUN_UP) * along
         above = torch.full_like(depth, self.start_pose[2])
         via = torch.stack([torch.cat(point, -1) for point in ((landing, above), (landing, depth), (end, depth))], 1)
-        episode.replace(index, begin=begin[index], along=along[index], via_position=via[index])
-        for row in rows:
-            self._write_parameters(self.engine.models[row], int(row))
-        pose = torch.tensor(self.start_pose, dtype=torch.float64).repeat(len(rows), 1)
-        pose[:, :2] = landing[index]
-        return self._arm_position(pose).numpy()
+        episode.replace(rows, begin=begin[rows], along=along[rows], via_position=via[rows])
+        self.engine.write(rows, self._episode_parameters())
+        pose = self._start_poses(rows)
+        return self._arm_position(torch.cat([landing[rows].to(pose), pose[:, 2:]], -1))
+
+    def _episode_parameters(self) -> list[Parameter]:
+        top = torch.nn.functional.pad(BOARD + self._episode.height, (2, 0)).unsqueeze(1)  # x and y are 0
+        friction = self._episode.friction.expand(-1, 2).unsqueeze(1)
+        return [Parameter("body_pos", ("board",), top), Parameter("pair_friction", (), friction)]
 
     def _write_parameters(self, model: Any, row: int) -> None:
+        super()._write_parameters(model, row)
         drawn = dict(zip(RANGES, self._episode.drawn[row].tolist(), strict=True))
-        model.body("board").pos[2] = BOARD + drawn["height"]
-        model.pair_friction[:, :2] = drawn["friction"]
         line, half, turn = model.geom("line"), 0.5 * drawn["length"], drawn["direction"]
         line.pos[:2] = drawn["begin_x"] + half * math.cos(turn), drawn["begin_y"] + half * math.sin(turn)
         line.quat[:] = math.cos(0.5 * turn), 0.0, 0.0, math.sin(0.5 * turn)
         line.size[0] = half
 
     def _task_reset(self, rows: Tensor) -> dict[str, Any]:
-        return self._task_observation(zero_rewards(self.num_envs, self.dtype, _GROUPS), self._elapsed < 0)
+        zeros = zero_rewards(self.num_envs, self.dtype, _GROUPS, device=self.place)
+        return self._task_observation(zeros, self._elapsed < 0)
 
     def _task_step(self, observation: dict[str, Any], ended: Tensor) -> dict[str, Any]:
         episode, wrench = self._episode, observation["wrench"]
