@@ -36,8 +36,8 @@ class View:
     port: int = 8080
 
     def load(self) -> Policy:
-        """Load the policy with its changed options."""
-        return _load(self.policy, self.recipe, (*self.settings, "num_threads=1"))
+        """Load the policy with its changed options; one world is simulated on the CPU, whatever trained the policy."""
+        return _load(self.policy, self.recipe, (*self.settings, "num_threads=1", "device=cpu", "engine=threads"))
 
     def run(self) -> None:
         """Serve the view until Ctrl-C."""

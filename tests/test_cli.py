@@ -13,6 +13,7 @@ from ppt_rl.evaluation import COLUMNS, find_recipe, shipped_recipes
 from ppt_rl.recipes.ppo_ppt_push import Config
 from ppt_rl.training import with_settings
 from ppt_rl.training.logs import read_scalar
+from ppt_rl.view_command import View
 
 QUICK = ("physics_dt=0.002", "duration=1.5")
 
@@ -201,3 +202,8 @@ def test_options_are_set_in_the_type_of_their_field():
 
 def test_a_policy_is_loaded_with_its_changed_options():
     assert Judged("ppt_push", settings=("p_max=0.5",), num_threads=1).load().config.p_max == 0.5
+
+
+def test_a_policy_is_viewed_on_one_thread_of_the_processor():
+    config = View("ppt_push", settings=("p_max=0.5",)).load().config
+    assert (config.p_max, config.num_threads, config.device, config.engine) == (0.5, 1, "cpu", "threads")
