@@ -54,7 +54,10 @@ _ARMS = [
     bad(ArmEnv, "dtype.*int64.*; expected", dtype=torch.int64),
     bad(ArmEnv, "device.*tpu9.*; expected", device="tpu9"),
     bad(ArmEnv, "engine.*0.001.*; expected", engine=0.001),
-    bad(ArmEnv, "(engine|warp).*; expected", engine="warp"),
+    bad(ArmEnv, "engine.*; expected", engine="gpu"),
+    bad(ArmEnv, "device.*GPUs here; expected", device="cuda:9"),
+    bad(EngineConfig, "engine.*; expected", name="mujoco"),
+    bad(EngineConfig, "contacts.*; expected", contacts=0),
     bad(PandaEnv, "arm is 'ur5e', but PandaEnv is the Panda's environment. Use", arm=UR5E),
 ]
 _PUSH = [
