@@ -190,6 +190,21 @@ def skip(app: Sphinx, what: str, name: str, obj: Any, skipped: bool, options: An
     return True if str(getattr(obj, "__doc__", "")).startswith("Alias for field number") else None
 
 
+def source_of(app: Sphinx, module: str, name: str) -> str | None:
+    """Leave constants where they are listed: no module of the library defines the type of a number or a tuple.
+
+    Args:
+        app: Sphinx.
+        module: module that an entry names.
+        name: name of the object in it.
+
+    Returns:
+        The module for a constant; None leaves the question to viewcode.
+    """
+    defined = getattr(find(f"{module}.{name}"), "__module__", None)
+    return None if isinstance(defined, str) and defined.startswith("ppt_rl") else module
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Connect.
 
@@ -199,6 +214,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     Returns:
         What Sphinx asks of an extension.
     """
+    app.connect("viewcode-follow-imported", source_of)
     app.connect("missing-reference", resolve)
     autosummary.extract_summary = summary
     app.connect("autodoc-process-docstring", comments, priority=300)
