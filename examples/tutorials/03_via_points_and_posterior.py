@@ -39,13 +39,14 @@ def band(axes, mean, cov, color, label):
     axes.fill_between(s, centre - 2 * sigma, centre + 2 * sigma, color=color, alpha=0.2, lw=0)
 
 
-figure, (left, middle, right) = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+figure, (left, middle) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
 left.plot(s, promp.basis(s)[0])
 left.set(title="six normalised basis functions", xlabel="phase [-]")
 middle.plot(s, demonstrations[:12, :, 0].T, color="grey", lw=0.7)
 band(middle, *promp.prior, "tab:blue", "prior")
 middle.set(title="demonstrations and the prior", xlabel="phase [-]", ylabel="y [m]")
 middle.legend()
+plt.show()
 
 # %%
 # Conditioning on via-points
@@ -59,10 +60,11 @@ position = torch.tensor([[0.22], [0.30]])
 cov = torch.diag_embed(torch.tensor([[0.004], [0.01]]).square())
 posterior = promp.posterior(phase, position, cov)
 
+figure, right = plt.subplots(figsize=(7, 3.6), layout="constrained")
 band(right, *promp.prior, "tab:blue", "prior")
 band(right, *posterior, "tab:red", "posterior")
 right.errorbar(phase, position[:, 0], 2 * cov[:, 0, 0].sqrt(), fmt="kx", label="via-points")
-right.set(title="conditioned", xlabel="phase [-]")
+right.set(title="conditioned on two via-points", xlabel="phase [-]", ylabel="y [m]")
 right.legend()
 plt.show()
 
