@@ -41,8 +41,8 @@ from ppt_rl.transforms import (
 )
 
 Cost = Literal["work", "excess"]
-#: Default limits [J per episode]. Without a limit a policy does 2.5 J, and one that may do 1.2 J learns to need less than
-#: that; the limit of the work is lower, so that it binds to the end of the training.
+#: Default limits [J per episode]. Without a limit a policy does 2.5 J, and one that may do 1.2 J learns to need less;
+#: the limit of the work is lower still, so that it binds to the end of the training.
 _LIMITS = {"work": 0.7, "excess": 0.1}
 
 
