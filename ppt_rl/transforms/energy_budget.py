@@ -86,7 +86,7 @@ class EnergyBudgetTransform(ActionTransform):
             ``(*B, 1)`` from ``least_share * e_max`` to ``e_max`` [J].
         """
         share = torch.sigmoid(request + math.log(self.initial_share / (1.0 - self.initial_share)))
-        return (self.e_max * (self.least_share + (1.0 - self.least_share) * share)).clamp_max(self.e_max)
+        return self.e_max * (self.least_share + (1.0 - self.least_share) * share)  # a sum of 1 is rounded to 1 at most
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (action,) = self._require(tensordict, self.action_key)
