@@ -97,8 +97,8 @@ def watch(steps: Shared) -> None:
     """Report where this life goes on, and each batch that it has learnt."""
     begin, learn = RunLogs.__init__, progress.Progress.learn
 
-    def began(logs: RunLogs, run_dir: Path, last_step: int = 0) -> None:
-        begin(logs, run_dir, last_step)
+    def began(logs: RunLogs, run_dir: Path, last_step: int = 0, **options: Any) -> None:
+        begin(logs, run_dir, last_step, **options)
         steps[:] = [last_step, last_step]
 
     def learnt(self: progress.Progress, batch: Any) -> dict[str, float]:
@@ -205,7 +205,9 @@ def endure(run_dir: Path, lives: int, seconds: float, calls: int, result: Result
 
 def found_faults(run_dir: Path, last: int) -> list[str]:
     """What is wrong with a run that has ended: logs, checkpoints, leftovers."""
-    faults = []
+    faults: list[str] = []
+    if not (run_dir / "logs" / "tensorboard").is_dir():
+        return ["it has no logs"]
     events = EventAccumulator(str(run_dir / "logs" / "tensorboard"), size_guidance={"scalars": 0})
     events.Reload()
     for path in (run_dir / "logs" / "csv" / "scalars").iterdir():

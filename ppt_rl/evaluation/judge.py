@@ -156,7 +156,8 @@ def _pass(policy: Policy, actor: str, episodes: int, seed: int, num_envs: int, l
         env, acts = policy.make_env(num_envs, seed=seed, audit=True), policy.actor
     else:
         env, acts = policy.make_baseline(actor, num_envs, seed=seed, audit=True)
-    rows = run_episodes(env, acts, episodes, keys=policy.recipe.task.report.episode_keys, progress=label)
+    keys = (*policy.recipe.task.report.episode_keys, *policy.recipe.episode_keys)
+    rows = run_episodes(env, acts, episodes, keys=keys, progress=label)
     rows["seconds"] = rows["control_steps"] * env.base_env.control_dt
     env.close()
     return rows

@@ -63,6 +63,7 @@ class Recipe:
         has_tank: whether the chain has an energy tank with the options ``p_max`` and ``e_max``.
         has_reference: whether an action of zero is a policy of its own, the reference alone.
         trace: observations of this chain to record besides those of the task and the tank.
+        episode_keys: observations ``(*B, 1)`` at the end of an episode to keep for each, besides those of the task.
         make_constraint: from options and environment, the limit on the cost of an episode; None trains without one.
         in_study: whether the study of its task has it; else a study has to name it.
     """
@@ -78,6 +79,7 @@ class Recipe:
     has_tank: bool = False
     has_reference: bool = False
     trace: tuple[str, ...] = ()
+    episode_keys: tuple[str, ...] = ()
     make_constraint: Callable[[Any, TransformedEnv], Constraint] | None = None
     in_study: bool = True
 

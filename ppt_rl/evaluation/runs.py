@@ -27,7 +27,7 @@ from ppt_rl.evaluation.tables import as_csv, from_csv
 from ppt_rl.training import VALIDATED, CheckpointMismatch
 from ppt_rl.training.logs import read_scalar, write_bytes_atomically, write_text_atomically
 
-__all__ = ["KeptRun", "curves_csv", "keep_run", "validation_csv"]
+__all__ = ["KeptRun", "cost_csv", "curves_csv", "keep_run", "validation_csv"]
 
 Array = NDArray[np.float64]
 _Content = TypeVar("_Content")
@@ -37,6 +37,8 @@ _UNREADABLE = (OSError, ValueError, EOFError, zlib.error, zipfile.BadZipFile)
 _JUDGED = ("episodes", "eval_seed", "groups", "summary")
 #: Logged scalars that are kept.
 _CURVES = (*COLUMNS, "max_power_measured", "work", "reward", "kl", "seconds")
+#: Logged scalars that are kept of a training under a limit on a cost.
+_COSTS = ("cost", "cost_limit", "multiplier")
 #: Scalars of a validation that are kept, by their names here.
 _VALIDATED = {name.removeprefix("validation_"): name for name in VALIDATED}
 
@@ -167,6 +169,8 @@ def keep_run(run: KeptRun, policy: Policy, *, episodes: int, seed: int | Sequenc
     run.write_episodes(evaluation)
     write_bytes_atomically(run.results / "rollouts.npz", _recorded(policy, seeds_of(seed)[0]))
     write_text_atomically(run.results / "curves.csv", curves_csv(run.run_dir))
+    if run.recipe.make_constraint is not None:
+        write_text_atomically(run.results / "cost.csv", cost_csv(run.run_dir))
     if policy.config.validate_every:
         write_text_atomically(run.results / "validation.csv", validation_csv(run.run_dir))
     shutil.copyfile(run.run_dir / "config.json", run.results / "config.json")
@@ -191,6 +195,18 @@ def curves_csv(run_dir: Path) -> str:
         The text.
     """
     return _scalars_csv(run_dir, {name: name for name in _CURVES})
+
+
+def cost_csv(run_dir: Path) -> str:
+    """The mean cost of an episode, its limit and the multiplier as CSV, a row for each batch in which episodes ended.
+
+    Args:
+        run_dir: directory of a run that was trained under a limit on a cost.
+
+    Returns:
+        The text.
+    """
+    return _scalars_csv(run_dir, {name: name for name in _COSTS})
 
 
 def validation_csv(run_dir: Path) -> str:

@@ -130,7 +130,9 @@ def episode_metrics(config: TaskConfig) -> MetricsConfig:
     return MetricsConfig(p_max=config.p_max)
 
 
-def motor_tank(p_max: float, e_max: float, mode: str = "paper", arm: Arm | None = None) -> EnergyTankTransform:
+def motor_tank(
+    p_max: float, e_max: float, mode: str = "paper", arm: Arm | None = None, *, e_max_key: str | None = None
+) -> EnergyTankTransform:
     """The tank that stands first in a chain and bounds the torque that the motors execute, posture torque included.
 
     Its keys are ``motor_tank_energy`` and ``motor_valve``, so that a chain may also have the paper's tank, which bounds
@@ -141,13 +143,14 @@ def motor_tank(p_max: float, e_max: float, mode: str = "paper", arm: Arm | None 
         e_max: capacity, and level at the start of an episode [J].
         mode: name of its law.
         arm: the arm, whose inertia some laws read; None for a law that does not.
+        e_max_key: where the capacity of an episode is found, at most ``e_max``; None takes ``e_max`` always.
 
     Returns:
         The transform.
     """
     read = tank_law(mode, None if arm is None else Kinematics(arm, tool_length=0.0))
     keys = ("motor_tank_energy", "motor_valve")
-    return EnergyTankTransform(p_max, e_max, flow_key="joint_velocity", out_keys=keys, **read)
+    return EnergyTankTransform(p_max, e_max, flow_key="joint_velocity", out_keys=keys, e_max_key=e_max_key, **read)
 
 
 def tank_law(mode: str, inertia: Sequence[float] | Kinematics | None) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from ppt_rl.transforms.barrier import BarrierTransform
 from ppt_rl.transforms.cartesian_velocity import CartesianVelocityTransform
 from ppt_rl.transforms.contact_via_point import ContactViaPointTransform
 from ppt_rl.transforms.energy_aware_impedance import EnergyAwareImpedanceTransform
+from ppt_rl.transforms.energy_budget import EnergyBudgetTransform
 from ppt_rl.transforms.energy_penalty import EnergyPenaltyTransform
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
 from ppt_rl.transforms.episode_metrics import EpisodeMetricsTransform
@@ -29,6 +30,7 @@ __all__ = [
     "CartesianVelocityTransform",
     "ContactViaPointTransform",
     "EnergyAwareImpedanceTransform",
+    "EnergyBudgetTransform",
     "EnergyPenaltyTransform",
     "EnergyTankTransform",
     "EpisodeMetricsTransform",

@@ -20,6 +20,7 @@ from ppt_rl.training import make_actor_critic
 from ppt_rl.transforms import (
     CartesianVelocityTransform,
     ContactViaPointTransform,
+    EnergyBudgetTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
     HeadingFrameTransform,
@@ -124,6 +125,8 @@ _ORDER = [
         TensorDict({"action": torch.zeros(2, 3, 7)}, 2)), "MacroStepTransform .*; append it to a TransformedEnv"),
 ]  # fmt: skip
 _MISSING = [
+    _chain("a budget that no tank reads", r"EnergyBudgetTransform needs 'e_max'.*EnergyTankTransform\(e_max_key=",
+           lambda: _mock(EnergyTankTransform(), EnergyBudgetTransform(1.0))),
     _chain("a tank where no velocity has the action's size", "found no velocity for the effort 'action' of size 3",
            lambda: _mock(EnergyTankTransform(), action_shape=(3,))),
     _chain("a tank on a pendulum without flow_key", "no velocity for the effort 'action' of size 1.*Pass flow_key",

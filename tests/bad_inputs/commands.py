@@ -90,6 +90,8 @@ _NUMBERS = [
     _cli("study push --num-envs 0", "num_envs is 0; expected a whole number"),
     _cli("train s_push --goal angle", "invalid choice .angle. for argument .--goal"),
     _cli("train s_push --hold-steps 0", "hold_steps is 0; expected"),
+    _cli("train ppt_budget_push --budget-weight -1", "budget_weight is -1.0; expected a number from 0"),
+    _cli("train ppt_budget_push --initial-share 1", "initial_share is 1.0; expected a number from"),
     _cli("train lagrangian_push --cost-limit -1", "cost_limit is -1.0; expected a number from 0"),
     _cli("train lagrangian_push --cost-limit 0", "cost_limit is 0 J; expected more"),
     _cli("train lagrangian_push --cost force", "invalid choice .force. for argument .--cost"),

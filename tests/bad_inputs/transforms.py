@@ -12,6 +12,7 @@ from ppt_rl.transforms import (
     CartesianVelocityTransform,
     ContactViaPointTransform,
     EnergyAwareImpedanceTransform,
+    EnergyBudgetTransform,
     EnergyPenaltyTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
@@ -31,6 +32,7 @@ __all__ = ["ENTRIES"]
 
 _POSITIVE, _WHOLE = "{name} is {value}; expected a finite number above 0", "{name} is {value}; expected a whole number"
 _LEAST = "{name} is {value}; expected a finite number of at least 0"
+_SHARE = "{name} is {value}; expected a number between 0 and 1, both excluded"
 _ORIGIN = (0.4, 0.0, 0.1, 0.0, 1.0, 0.0, 0.0)
 _PLANE, _SPACE = TaskSpace(("x", "y"), _ORIGIN), TaskSpace(("x", "y", "z"), _ORIGIN)
 _PROMP, _PROMP3 = ProMP(4, 2, 1.0), ProMP(4, 3, 1.0)
@@ -100,6 +102,10 @@ _AT_CONTROL_RATE = [
     bad(ImpedanceTransform, "controller is .*; expected", CartesianImpedanceController),
     bad(EpisodeMetricsTransform, "config is .*; expected (a )?MetricsConfig", 2.0),
     bad(EpisodeMetricsTransform, "cutoff is 10.0 Hz; expected a frequency below half the control rate", dt=0.05),
+    *each(EnergyBudgetTransform, "e_max", (0.0, -1.0, math.nan, math.inf, "full", None), _POSITIVE),
+    *each(EnergyBudgetTransform, "weight", (-1.0, math.nan, math.inf, "much", None), _LEAST, 1.0),
+    *each(EnergyBudgetTransform, "least_share", (0.0, 1.0, math.nan, "none", None), _SHARE, 1.0),
+    *each(EnergyBudgetTransform, "initial_share", (0.0, 1.0, -0.1, "all", None), _SHARE, 1.0),
     *each(EnergyPenaltyTransform, "weight", (-1.0, math.nan, math.inf, "much", None), _LEAST),
     *each(PowerLimitTransform, "p_max", (-1.0, math.nan, "two"), _LEAST),
     *each(PowerLimitTransform, "penalty", (-1.0, math.nan, math.inf, "much", None), _LEAST),

@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ppt_rl.evaluation import load_policy
+from ppt_rl.evaluation.runs import KeptRun, keep_run
+from ppt_rl.evaluation.tables import from_csv
 from ppt_rl.functional import PIDGains
 from ppt_rl.recipes.ppo_lagrangian_push import RECIPE, Config
 from ppt_rl.training import CheckpointMismatch, PPOConfig, as_json, from_json, with_settings
@@ -41,7 +44,7 @@ def test_the_cost_is_the_work_of_the_episodes_and_moves_the_multiplier(tmp_path,
     cost, work, limit, multiplier = scalars(tmp_path, ("cost", "work", "cost_limit", "multiplier"))
     np.testing.assert_allclose(cost, work, rtol=1e-5)
     assert (limit == 1e-3).all()
-    np.testing.assert_allclose(multiplier, 2.0 * (cost - 1e-3) + 0.03 * np.cumsum(cost - 1e-3), rtol=1e-9)
+    np.testing.assert_allclose(multiplier, 4.0 * (cost - 1e-3) + 0.15 * np.cumsum(cost - 1e-3), rtol=1e-9)
 
 
 def test_the_excess_is_the_part_of_the_work_above_the_limit_of_power(tmp_path):
@@ -67,26 +70,35 @@ def test_a_run_that_was_killed_goes_on_exactly_as_one_that_was_stopped(begun, tm
     assert np.array_equal(scalars(killed), scalars(stopped))
     cost, multiplier = scalars(killed, ("cost", "multiplier"))
     excess = cost - 1e-3  # the integral spans both processes
-    np.testing.assert_allclose(multiplier, 2.0 * excess + 0.03 * np.cumsum(excess), rtol=1e-9)
+    np.testing.assert_allclose(multiplier, 4.0 * excess + 0.15 * np.cumsum(excess), rtol=1e-9)
 
 
 def test_a_run_does_not_go_on_under_another_limit_or_other_gains(begun, tmp_path):
     run_dir = shutil.copytree(begun, tmp_path / "run")
     with pytest.raises(CheckpointMismatch, match=r"other values of cost_limit \(0.001 then, 0.5 now\)"):
         RECIPE.train(tiny(run_dir, 4, resume=True, cost_limit=0.5))
-    with pytest.raises(CheckpointMismatch, match=r"other values of pid.integral \(0.03 then, 0.5 now\)"):
-        RECIPE.train(tiny(run_dir, 4, resume=True, pid=PIDGains(2.0, 0.5)))
+    with pytest.raises(CheckpointMismatch, match=r"other values of pid.integral \(0.15 then, 0.5 now\)"):
+        RECIPE.train(tiny(run_dir, 4, resume=True, pid=PIDGains(4.0, 0.5)))
+
+
+def test_a_study_keeps_the_cost_of_every_batch_with_its_limit_and_the_multiplier(begun, tmp_path):
+    run = KeptRun(RECIPE, 1, begun, tmp_path)
+    keep_run(run, load_policy(begun), episodes=2, seed=3, num_envs=2)
+    kept = from_csv((tmp_path / "cost.csv").read_text())
+    assert kept["control_steps"].tolist() == [BATCH, 2 * BATCH]
+    np.testing.assert_allclose([kept["cost"], kept["multiplier"]], scalars(begun, ("cost", "multiplier")), rtol=1e-6)
+    assert (kept["cost_limit"] == 1e-3).all()
 
 
 # -- options -----------------------------------------------------------------------------------------------------------
 
 
 def test_the_limit_follows_the_cost_unless_it_is_given():
-    assert Config().cost_limit == 1.2
+    assert Config().cost_limit == 0.7
     assert Config(cost="excess").cost_limit == 0.1
     assert with_settings(Config(), {"cost": "excess"}).cost_limit == 0.1
     assert with_settings(Config(cost_limit=2.0), {"cost": "excess"}).cost_limit == 2.0
-    assert with_settings(Config(), {"pid.integral": "0.5"}).pid == PIDGains(2.0, 0.5)
+    assert with_settings(Config(), {"pid.integral": "0.5"}).pid == PIDGains(4.0, 0.5)
 
 
 def test_the_options_survive_their_json_form():

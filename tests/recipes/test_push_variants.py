@@ -45,6 +45,7 @@ STEPWISE = ["CartesianVelocityTransform", "MacroStepTransform", "HoldActionTrans
 CHAINS = {
     "lagrangian_push": [*PUSH[:2], "PowerLimitTransform", PUSH[2], *PROMP],
     "pp_push": [*PUSH, *PROMP],
+    "ppt_budget_push": [*TANKS[:3], *TANKS[4:], *PROMP, "EnergyBudgetTransform"],
     "ppt_push": [*TANKS, *PROMP],
     "ppt_safe_push": [*TANKS[:-1], "ReferenceGovernorTransform", TANKS[-1], *PROMP],
     "s_push": [*PUSH, *STEPWISE],
@@ -55,6 +56,7 @@ KNOWN = ["box_start", "goal", "box_size", "pose", "twist", "wrench", "phase", "g
 EXTRA = {
     "lagrangian_push": [],
     "pp_push": [],
+    "ppt_budget_push": ["tank_energy", "valve", "energy_budget"],
     "ppt_push": ["tank_energy", "valve"],
     "ppt_safe_push": ["tank_energy", "valve"],
     "s_push": ["reference_position", "last_action"],

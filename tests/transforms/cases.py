@@ -20,6 +20,7 @@ from ppt_rl.transforms import (
     CartesianVelocityTransform,
     ContactViaPointTransform,
     EnergyAwareImpedanceTransform,
+    EnergyBudgetTransform,
     EnergyPenaltyTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
@@ -131,6 +132,12 @@ CASES: dict[str, Case] = {
         nested={f"{key}_key": ("agent", key) for key in ("pose", "twist", "wrench")}
         | {"heading_key": ("agent", "start_heading")},
         base={"via_points": False},
+    ),
+    "EnergyBudgetTransform": Case(
+        lambda **kwargs: EnergyBudgetTransform(1.3, **{"limit_key": "start_heading", **kwargs}),
+        outer=(8,),
+        state=("energy_budget",),
+        nested={**_ACTION, "limit_key": ("agent", "start_heading")},
     ),
     "EnergyPenaltyTransform": Case(
         lambda **kwargs: EnergyPenaltyTransform(0.5, **{"energy_key": "start_heading", **kwargs}),

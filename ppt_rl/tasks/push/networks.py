@@ -25,15 +25,17 @@ _KNOWN = {
 }  # fmt: skip
 #: What some chains add.
 _FURTHER = {
-    "goal_yaw": (-1,), "tank_energy": (1,), "valve": (1,), "reference_position": _AXES, "last_action": _AXES,
+    "goal_yaw": (-1,), "tank_energy": (1,), "valve": (1,), "energy_budget": (1,), "reference_position": _AXES,
+    "last_action": _AXES,
 }  # fmt: skip
 #: Observations that exist in simulation only; no evaluated policy sees them.
 PRIVILEGED = ("box_pose",)
 
 
 def make_push_policy(
-    config: PushConfig, env: TransformedEnv, *, initial_scale: float, extra_keys: Sequence[str] = ()
-) -> tuple[nn.Module, nn.Module]:
+    config: PushConfig, env: TransformedEnv, *, initial_scale: float, extra_keys: Sequence[str] = (),
+    beside: Sequence[int] = (),
+) -> tuple[nn.Module, nn.Module]:  # fmt: skip
     """Actor on what is known at test time, critic on the box's pose as well.
 
     Args:
@@ -41,14 +43,16 @@ def make_push_policy(
         env: environment with the recipe's chain.
         initial_scale: standard deviation of the untrained policy [action units].
         extra_keys: further observations, which the recipe's transforms add.
+        beside: signs, when left and right change places, of what the action holds after the numbers of x, y and yaw.
 
     Returns:
         Actor and critic.
     """
     keys = _actor_keys(config, extra_keys)
     signs = _KNOWN | _FURTHER
-    per_axis = env.full_action_spec["action"].shape[-1] // len(PUSH_AXES)  # numbers of the action, axis by axis
-    mirror = Mirror([sign for key in keys for sign in signs[key]], [sign for sign in _AXES for _ in range(per_axis)])
+    per_axis = (env.full_action_spec["action"].shape[-1] - len(beside)) // len(PUSH_AXES)  # the action is axis by axis
+    acted = [*(sign for sign in _AXES for _ in range(per_axis)), *beside]
+    mirror = Mirror([sign for key in keys for sign in signs[key]], acted)
     return make_actor_critic(
         env, keys, [*keys, *PRIVILEGED], initial_scale=initial_scale, mirror=mirror if config.mirror else None
     )
