@@ -23,9 +23,12 @@ from ppt_rl.tasks.maze import (
     make_maze_promp,
     maze_metrics,
     maze_space,
+    velocity_map,
 )
 from ppt_rl.transforms import (
+    ActionMapTransform,
     ContactViaPointTransform,
+    CourseTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
     HeadingFrameTransform,
@@ -60,6 +63,7 @@ def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
         ImpedanceTransform(make_controller(config), damping_key=damping),
         EpisodeMetricsTransform(maze_metrics(config)),
         HeadingFrameTransform(),
+        *([CourseTransform(config.memory)] if config.memory else []),
         ContactViaPointTransform(config.promp_duration),
         MacroStepTransform(
             config.replan_steps,
@@ -75,12 +79,13 @@ def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
             replan_steps=config.replan_steps,
         ),
         ViaPointTransform(promp, frame=("pose", "heading")),
+        *([ActionMapTransform(velocity_map(promp))] if config.decides == "velocity" else []),
     ]
 
 
 def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
     """Actor and critic."""
-    extra = ("contact", "tank_energy", "valve")
+    extra = ("contact", "tank_energy", "valve", *(("heading_memory",) if config.memory else ()))
     return make_maze_policy(env, initial_scale=config.initial_scale, extra_keys=extra)
 
 

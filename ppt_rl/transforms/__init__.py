@@ -4,9 +4,11 @@ Those that work with time take the control step from the attribute ``control_dt`
 environment of this library has it; where another has not, pass ``dt=``.
 """
 
+from ppt_rl.transforms.action_map import ActionMapTransform
 from ppt_rl.transforms.barrier import BarrierTransform
 from ppt_rl.transforms.cartesian_velocity import CartesianVelocityTransform
 from ppt_rl.transforms.contact_via_point import ContactViaPointTransform
+from ppt_rl.transforms.course import CourseTransform
 from ppt_rl.transforms.energy_aware_impedance import EnergyAwareImpedanceTransform
 from ppt_rl.transforms.energy_penalty import EnergyPenaltyTransform
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
@@ -25,9 +27,11 @@ from ppt_rl.transforms.reference_velocity import ReferenceVelocityTransform
 from ppt_rl.transforms.via_point import ViaPointTransform
 
 __all__ = [
+    "ActionMapTransform",
     "BarrierTransform",
     "CartesianVelocityTransform",
     "ContactViaPointTransform",
+    "CourseTransform",
     "EnergyAwareImpedanceTransform",
     "EnergyPenaltyTransform",
     "EnergyTankTransform",

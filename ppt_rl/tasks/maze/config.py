@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
 import torch
+from torch import Tensor
 
 from ppt_rl.envs import MazeEnv, MazeRanges, MazeRewards, StraightRanges
 from ppt_rl.functional.argument_checks import shown
@@ -25,10 +26,13 @@ __all__ = [
     "make_maze_promp",
     "maze_metrics",
     "maze_space",
+    "velocity_map",
 ]
 
 #: Where a maze policy trains.
 TrainingGround = Literal["corridors", "mazes"]
+#: What a policy that acts on ProMP weights decides.
+Decision = Literal["weights", "velocity"]
 #: Task-space coordinates in the maze; with a heading they are ahead, left and up.
 MAZE_AXES = ("x", "y", "z")
 #: How far the basis reaches beyond phase 0 and 1, so that it can represent a straight line without ripple; its overlap.
@@ -99,6 +103,9 @@ class RecedingConfig(MazeConfig):
     """Options of the maze recipes whose policy acts on ProMP weights.
 
     Attributes:
+        decides: what the policy adds: a residual to each of the weights, or a velocity, which moves all weights in
+            proportion to their time; the residuals below are then those of a weight at the end of the primitive.
+        memory: distance over which the course is remembered that the policy sees [m]; 0 for none.
         num_basis: number of basis functions of the ProMP for each of x, y and z.
         promp_duration: duration of the primitive [s].
         replan_steps: control steps from one policy step to the next.
@@ -112,6 +119,8 @@ class RecedingConfig(MazeConfig):
         batch_steps: policy steps of every environment in a batch.
     """
 
+    decides: Decision = "weights"
+    memory: float = 0.0
     num_basis: int = 8
     promp_duration: float = 0.8
     replan_steps: int = 15
@@ -125,6 +134,7 @@ class RecedingConfig(MazeConfig):
     batch_steps: int = 40
 
     bounds: ClassVar[dict[str, Bounds]] = {
+        "memory": Bounds(0.0, 100.0, "m"),
         "promp_duration": Bounds(1e-3, 600.0, "s"),
         "replan_steps": Bounds(1, 1000, "control steps"),
         "residual_ahead": Bounds(0.0, 10.0, "m"),
@@ -132,6 +142,12 @@ class RecedingConfig(MazeConfig):
         "residual_up": Bounds(0.0, 10.0, "m"),
         "max_slip": Bounds(0.0, 10.0, "m/s"),
     }
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown decision and numbers out of bounds."""
+        if self.decides not in get_args(Decision):
+            raise ValueError(f"decides is {shown(self.decides)}; expected one of {list(get_args(Decision))}.")
+        super().__post_init__()
 
     @property
     def residual_scale(self) -> tuple[float, float, float]:
@@ -197,6 +213,19 @@ def make_maze_promp(config: RecedingConfig) -> ProMP:
         config.num_basis, len(MAZE_AXES), config.promp_duration, centres=centres,
         widths=torch.full_like(centres, width),
     )  # fmt: skip
+
+
+def velocity_map(promp: ProMP) -> Tensor:
+    """What a velocity ahead, to the left and up adds to the weights of a maze primitive.
+
+    Args:
+        promp: the primitive.
+
+    Returns:
+        ``(K * D, D)``, for an :class:`~ppt_rl.transforms.ActionMapTransform`: a unit moves each weight by the phase of its
+        centre, and so the trajectory in proportion to time.
+    """
+    return torch.block_diag(*[promp.centres.unsqueeze(-1)] * promp.num_dof)
 
 
 def maze_metrics(config: MazeConfig) -> MetricsConfig:
