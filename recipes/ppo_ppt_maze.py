@@ -28,7 +28,6 @@ from ppt_rl.tasks.maze import (
 from ppt_rl.transforms import (
     ActionMapTransform,
     ContactViaPointTransform,
-    CourseTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
     HeadingFrameTransform,
@@ -63,7 +62,6 @@ def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
         ImpedanceTransform(make_controller(config), damping_key=damping),
         EpisodeMetricsTransform(maze_metrics(config)),
         HeadingFrameTransform(),
-        *([CourseTransform(config.memory)] if config.memory else []),
         ContactViaPointTransform(config.promp_duration),
         MacroStepTransform(
             config.replan_steps,
@@ -85,7 +83,7 @@ def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
 
 def make_policy(config: Config, env: TransformedEnv) -> tuple[nn.Module, nn.Module]:
     """Actor and critic."""
-    extra = ("contact", "tank_energy", "valve", *(("heading_memory",) if config.memory else ()))
+    extra = ("contact", "tank_energy", "valve")
     return make_maze_policy(env, initial_scale=config.initial_scale, extra_keys=extra)
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.shape_checks import require_same_batch, require_trailing
 
-__all__ = ["follow_course", "follow_heading", "from_heading", "to_heading"]
+__all__ = ["follow_heading", "from_heading", "to_heading"]
 
 
 def to_heading(vector: Tensor, heading: Tensor) -> Tensor:
@@ -112,32 +112,3 @@ def follow_heading(
     held_up = touching.to(heading.dtype) * slow**2 / (square + slow**2)
     ahead = ahead + along * (dt / distance) * velocity + held_up * (dt / patience) * tangent
     return torch.atan2(ahead[..., 1:], ahead[..., :1])
-
-
-def follow_course(course: Tensor, velocity: Tensor, *, dt: float, distance: float) -> Tensor:
-    r"""Course after one more control step: the direction of the motion over a longer way than a heading's.
-
-    .. math:: c' \propto c + \frac{\Delta t}{L}\, v
-
-    At a constant velocity, the tangent of half the angle between both decays exponentially with the distance travelled.
-    Motion straight back leaves the course as it is.
-
-    Args:
-        course: ``(*B, 1)`` course, whose unit vector is c [rad].
-        velocity: ``(*B, 2)`` horizontal velocity v of the tool, world axes [m/s].
-        dt: control step [s].
-        distance: L, distance of travel over which the course turns [m].
-
-    Returns:
-        ``(*B, 1)`` new course in (-pi, pi] [rad].
-
-    Raises:
-        ValueError: if a shape does not fit.
-
-    Source:
-        Ours.
-    """
-    for name, value, size in (("course", course, 1), ("velocity", velocity, 2)):
-        require_last_dim(name, value, size)
-    along = torch.cat([course.cos(), course.sin()], -1) + (dt / distance) * velocity
-    return torch.atan2(along[..., 1:], along[..., :1])

@@ -8,7 +8,6 @@ from ppt_rl.transforms.action_map import ActionMapTransform
 from ppt_rl.transforms.barrier import BarrierTransform
 from ppt_rl.transforms.cartesian_velocity import CartesianVelocityTransform
 from ppt_rl.transforms.contact_via_point import ContactViaPointTransform
-from ppt_rl.transforms.course import CourseTransform
 from ppt_rl.transforms.energy_aware_impedance import EnergyAwareImpedanceTransform
 from ppt_rl.transforms.energy_penalty import EnergyPenaltyTransform
 from ppt_rl.transforms.energy_tank import EnergyTankTransform
@@ -31,7 +30,6 @@ __all__ = [
     "BarrierTransform",
     "CartesianVelocityTransform",
     "ContactViaPointTransform",
-    "CourseTransform",
     "EnergyAwareImpedanceTransform",
     "EnergyPenaltyTransform",
     "EnergyTankTransform",

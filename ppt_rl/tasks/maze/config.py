@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
@@ -46,6 +47,8 @@ class MazeConfig(TaskConfig):
     Attributes:
         train_in: where a policy trains: in straight corridors, or in random mazes, other ones than those of the test.
         training_duration: episode length in training [s]; ``duration`` is that of the test.
+        heading_error: largest error of the heading that is told in a training corridor [rad]; the default exceeds every
+            turn of the default mazes, so that a straight corridor with a wrong heading looks like a turn.
         posture_stiffness: stiffness of the arm's posture in the nullspace [N m/rad]; low, since the maze takes the arm
             far from its home.
         follower_speed: speed of the hand-written follower, which is the baseline and gives the demonstrations [m/s].
@@ -65,6 +68,7 @@ class MazeConfig(TaskConfig):
     duration: float = 20.0
     train_in: TrainingGround = "corridors"
     training_duration: float = 6.0
+    heading_error: float = 0.9
     stiffness: float = 150.0
     posture_stiffness: float = 2.0
     follower_speed: float = 0.055
@@ -83,6 +87,7 @@ class MazeConfig(TaskConfig):
 
     bounds: ClassVar[dict[str, Bounds]] = {
         "training_duration": Bounds(1e-3, 600.0, "s"),
+        "heading_error": Bounds(0.0, math.pi, "rad"),
         "posture_stiffness": Bounds(0.0, 1e4, "N m/rad"),
         "follower_speed": Bounds(1e-4, 10.0, "m/s"),
         "follower_lead": Bounds(1e-6, 1.0, "m"),
@@ -105,7 +110,6 @@ class RecedingConfig(MazeConfig):
     Attributes:
         decides: what the policy adds: a residual to each of the weights, or a velocity, which moves all weights in
             proportion to their time; the residuals below are then those of a weight at the end of the primitive.
-        memory: distance over which the course is remembered that the policy sees [m]; 0 for none.
         num_basis: number of basis functions of the ProMP for each of x, y and z.
         promp_duration: duration of the primitive [s].
         replan_steps: control steps from one policy step to the next.
@@ -120,7 +124,6 @@ class RecedingConfig(MazeConfig):
     """
 
     decides: Decision = "weights"
-    memory: float = 0.0
     num_basis: int = 8
     promp_duration: float = 0.8
     replan_steps: int = 15
@@ -134,7 +137,6 @@ class RecedingConfig(MazeConfig):
     batch_steps: int = 40
 
     bounds: ClassVar[dict[str, Bounds]] = {
-        "memory": Bounds(0.0, 100.0, "m"),
         "promp_duration": Bounds(1e-3, 600.0, "s"),
         "replan_steps": Bounds(1, 1000, "control steps"),
         "residual_ahead": Bounds(0.0, 10.0, "m"),
@@ -222,8 +224,8 @@ def velocity_map(promp: ProMP) -> Tensor:
         promp: the primitive.
 
     Returns:
-        ``(K * D, D)``, for an :class:`~ppt_rl.transforms.ActionMapTransform`: a unit moves each weight by the phase of its
-        centre, and so the trajectory in proportion to time.
+        ``(K * D, D)``, for an :class:`~ppt_rl.transforms.ActionMapTransform`: a unit moves each weight by the phase of
+        its centre, and so the trajectory in proportion to time.
     """
     return torch.block_diag(*[promp.centres.unsqueeze(-1)] * promp.num_dof)
 

@@ -15,10 +15,8 @@ __all__ = ["MAZE_PRIVILEGED", "make_maze_policy"]
 
 #: What a policy may read: proprioception and wrench, in heading axes.
 _KNOWN = ("heading_twist", "heading_wrench")
-#: A maze and its mirror image are alike. Signs under reflection: of observations (those not named stay the same), and of
-#: ahead, left and up.
+#: A maze and its mirror image are alike. Signs under reflection: of twist and wrench, and of ahead, left and up.
 _MIRRORED_TWIST, _MIRRORED_AXES = (1.0, -1.0, 1.0, -1.0, 1.0, -1.0), (1.0, -1.0, 1.0)
-_MIRRORED = {**dict.fromkeys(_KNOWN, _MIRRORED_TWIST), "heading_memory": (1.0, -1.0, -1.0)}
 #: Observations that exist in simulation only; no evaluated policy sees them.
 MAZE_PRIVILEGED = ("corridor_offset", "corridor_heading")
 
@@ -31,16 +29,17 @@ def make_maze_policy(
     Args:
         env: environment with the recipe's chain.
         initial_scale: standard deviation of the untrained policy [action units].
-        extra_keys: further observations, which the recipe's transforms add; but for ``heading_memory``, they must not
-            change under reflection.
+        extra_keys: further observations, which the recipe's transforms add; they must not change under reflection.
 
     Returns:
         Actor and critic.
     """
     keys = [*_KNOWN, *extra_keys]
+    same = sum(env.observation_spec[key].shape[-1] for key in extra_keys)
     per_axis = env.full_action_spec["action"].shape[-1] // len(MAZE_AXES)  # numbers of the action, axis by axis
-    seen = [sign for key in keys for sign in _MIRRORED.get(key, (1.0,) * env.observation_spec[key].shape[-1])]
-    mirror = Mirror(seen, [sign for sign in _MIRRORED_AXES for _ in range(per_axis)])
+    mirror = Mirror(
+        (*_MIRRORED_TWIST * len(_KNOWN), *(1.0,) * same), [sign for sign in _MIRRORED_AXES for _ in range(per_axis)]
+    )
     return make_actor_critic(
         env, keys, [*keys, "heading", *MAZE_PRIVILEGED], initial_scale=initial_scale, mirror=mirror
     )
