@@ -231,7 +231,7 @@ def test_a_policy_that_decides_a_velocity_has_three_numbers_to_decide_and_the_sa
     for config, size in ((here, 24), (there, 3)):
         env = recipe.make_env(config, modules, num_envs=2, seed=0)
         assert env.full_action_spec["action"].shape == (2, size)
-        rollout = env.rollout(2, lambda td, size=size: td.set("action", torch.zeros(2, size)))
-        ends.append(rollout["next", "pose"][:, -1])
+        steps = env.step(env.reset().set("action", torch.zeros(2, size)))
+        ends.append(steps["next", "reference_position"])
         env.close()
     torch.testing.assert_close(*ends)
