@@ -17,6 +17,7 @@ import numpy as np
 import torch
 import tyro
 from numpy.typing import NDArray
+from tank_at_test import with_tank
 from tensordict import TensorDictBase
 
 from ppt_rl import Policy, load_policy
@@ -32,14 +33,15 @@ class Options:
 
     Attributes:
         policy: the policy that asks: a published name, a checkpoint or a run. It decides once an episode.
-        fixed: policies behind a tank whose capacity is an option ``e_max``, likewise.
+        fixed: policies behind a tank whose capacity is an option ``e_max``, likewise; where one has no tank, that of
+            ``ppt_push`` is added.
         episodes: episodes on each box and of each seed.
         seeds: seeds of the episodes.
         report: directory of ``energy_budget.json``; none writes nothing.
     """
 
     policy: str = "ppt_budget_push"
-    fixed: tuple[str, ...] = ("ppt_push",)
+    fixed: tuple[str, ...] = ("ppt_push", "lagrangian_push")
     episodes: int = 256
     seeds: tuple[int, ...] = (50_000, 60_000)
     report: Path | None = None
@@ -121,6 +123,8 @@ def compared(options: Options) -> Iterator[tuple[str, dict[str, Any]]]:
     yield f"{named}, always {mean:.2f} J", figures_of(episodes_of(policy, options, always=mean))
     for name in options.fixed:
         other, named = load_policy(name), Path(name).name
+        if not other.recipe.has_tank:
+            other, named = with_tank(other, load_policy("ppt_push")), f"{named} + tank"
         yield f"{named}, {other.config.e_max:g} J", figures_of(episodes_of(other, options))
         yield f"{named}, {mean:.2f} J", figures_of(episodes_of(other.with_changes(e_max=mean), options))
 

@@ -44,7 +44,7 @@ class Config(EpisodeLevelConfig):
 
     run_dir: Path = Path("runs/ppt_budget_push")
     e_max: ByGoal = None  # type: ignore[assignment]
-    budget_weight: float = 1.0
+    budget_weight: float = 1.5
     initial_share: float = 0.8
     tank_mode: str = "paper"
 

@@ -4,6 +4,7 @@ Those that work with time take the control step from the attribute ``control_dt`
 environment of this library has it; where another has not, pass ``dt=``.
 """
 
+from ppt_rl.transforms.action_map import ActionMapTransform
 from ppt_rl.transforms.barrier import BarrierTransform
 from ppt_rl.transforms.cartesian_velocity import CartesianVelocityTransform
 from ppt_rl.transforms.contact_via_point import ContactViaPointTransform
@@ -26,6 +27,7 @@ from ppt_rl.transforms.reference_velocity import ReferenceVelocityTransform
 from ppt_rl.transforms.via_point import ViaPointTransform
 
 __all__ = [
+    "ActionMapTransform",
     "BarrierTransform",
     "CartesianVelocityTransform",
     "ContactViaPointTransform",

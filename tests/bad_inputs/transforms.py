@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 
+import torch
+
 from ppt_rl.arms import PANDA
 from ppt_rl.functional import MetricsConfig, PlaneBarrier, SpeedBarrier, ViaPointConfig, WallTouch
 from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
+    ActionMapTransform,
     BarrierTransform,
     CartesianVelocityTransform,
     ContactViaPointTransform,
@@ -155,6 +158,10 @@ _VELOCITY = [
     bad(CartesianVelocityTransform, "task_space is .*; expected (a )?TaskSpace", ("x", "y")),
 ]  # fmt: skip
 _PER_POLICY_STEP = [
+    bad(ActionMapTransform, "matrix is 0.1, of type float; expected Tensor", 0.1),
+    bad(ActionMapTransform, r"matrix has shape \(3,\); expected finite numbers \(N, M\)", torch.ones(3)),
+    bad(ActionMapTransform, r"matrix has shape \(0, 3\); expected finite", torch.ones(0, 3)),
+    bad(ActionMapTransform, "expected finite numbers", torch.full((2, 2), math.nan)),
     *each(MacroStepTransform, "num_steps", (0, -1), "{name} is {value}; expected"),
     *each(MacroStepTransform, "num_steps", (2.5, "ten", math.nan, [4]), "{name}.*; expected"),
     *each(MacroStepTransform, "discount", (0.0, 1.01, math.nan), "{name} is {value}; expected"),

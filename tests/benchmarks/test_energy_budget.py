@@ -63,4 +63,5 @@ def test_the_figures_are_written(policy, tmp_path):
     name = Path(policy.source).name
     assert list(actors) == [
         f"{name}, as it asks", f"{name}, always {mean:.2f} J", "ppt_push, 1.3 J", f"ppt_push, {mean:.2f} J",
+        "lagrangian_push + tank, 1.3 J", f"lagrangian_push + tank, {mean:.2f} J",
     ]  # fmt: skip

@@ -220,3 +220,18 @@ def test_a_policy_does_to_the_right_what_it_does_to_the_left(variant, policies):
     torch.testing.assert_close(right, left * sign[:3].unsqueeze(-1))
     assert left[:, 1].abs().max() > 1e-6
     env.close()
+
+
+def test_a_policy_that_decides_a_velocity_has_three_numbers_to_decide_and_the_same_reference():
+    recipe = find_recipe("ppt_maze")
+    here, there = (recipe.config(decides=what, **QUICK) for what in ("weights", "velocity"))
+    modules = recipe.make_modules(here)
+    modules["promp"].weights_mean[:, 0] = 0.05 * modules["promp"].centres
+    ends = []
+    for config, size in ((here, 24), (there, 3)):
+        env = recipe.make_env(config, modules, num_envs=2, seed=0)
+        assert env.full_action_spec["action"].shape == (2, size)
+        steps = env.step(env.reset().set("action", torch.zeros(2, size)))
+        ends.append(steps["next", "reference_position"])
+        env.close()
+    torch.testing.assert_close(*ends)

@@ -16,6 +16,7 @@ from ppt_rl.envs import PandaMazeEnv, PandaPushEnv
 from ppt_rl.functional import MetricsConfig, PlaneBarrier, SpeedBarrier, ViaPointConfig
 from ppt_rl.modules import CartesianImpedanceController, Kinematics, ProMP, TaskSpace
 from ppt_rl.transforms import (
+    ActionMapTransform,
     BarrierTransform,
     CartesianVelocityTransform,
     ContactViaPointTransform,
@@ -93,6 +94,11 @@ class Case:
 _ACTION = {"action_key": ("agent", "action")}
 
 CASES: dict[str, Case] = {
+    "ActionMapTransform": Case(
+        lambda **kwargs: ActionMapTransform(torch.arange(21.0).reshape(7, 3) / 10 - 1, **kwargs),
+        outer=(3,),
+        nested=_ACTION,
+    ),
     "BarrierTransform": Case(
         lambda **kwargs: BarrierTransform(
             **{"barriers": [SpeedBarrier(0.1), PlaneBarrier(offset=0.1)], "force_rate": 50.0, **kwargs}

@@ -402,7 +402,9 @@ def test_a_tensordict_without_observations_is_a_key_error_that_names_the_transfo
     elif name in ("PowerLimitTransform", "ViaPointTransform"):
         with pytest.raises(KeyError, match=name):
             transform(empty)
-    elif name in ("EnergyBudgetTransform", "HoldActionTransform", "ReferenceVelocityTransform"):
+    elif name in (
+        "ActionMapTransform", "EnergyBudgetTransform", "HoldActionTransform", "ReferenceVelocityTransform"
+    ):  # fmt: skip
         assert transform.inv(empty)["action"].shape == (2, *CASES[name].inner)  # an action is all it needs
     else:
         with pytest.raises(KeyError, match=name):

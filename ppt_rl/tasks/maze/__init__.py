@@ -8,6 +8,7 @@ from ppt_rl.tasks.maze.config import (
     make_maze_promp,
     maze_metrics,
     maze_space,
+    velocity_map,
 )
 from ppt_rl.tasks.maze.environments import make_test_env, make_training_env
 from ppt_rl.tasks.maze.follower import WallFollower
@@ -32,4 +33,5 @@ __all__ = [
     "make_training_env",
     "maze_metrics",
     "maze_space",
+    "velocity_map",
 ]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
 import torch
+from torch import Tensor
 
 from ppt_rl.envs import MazeEnv, MazeRanges, MazeRewards, StraightRanges
 from ppt_rl.functional.argument_checks import shown
@@ -25,10 +27,13 @@ __all__ = [
     "make_maze_promp",
     "maze_metrics",
     "maze_space",
+    "velocity_map",
 ]
 
 #: Where a maze policy trains.
 TrainingGround = Literal["corridors", "mazes"]
+#: What a policy that acts on ProMP weights decides.
+Decision = Literal["weights", "velocity"]
 #: Task-space coordinates in the maze; with a heading they are ahead, left and up.
 MAZE_AXES = ("x", "y", "z")
 #: How far the basis reaches beyond phase 0 and 1, so that it can represent a straight line without ripple; its overlap.
@@ -42,6 +47,8 @@ class MazeConfig(TaskConfig):
     Attributes:
         train_in: where a policy trains: in straight corridors, or in random mazes, other ones than those of the test.
         training_duration: episode length in training [s]; ``duration`` is that of the test.
+        heading_error: largest error of the heading that is told in a training corridor [rad]; the default exceeds every
+            turn of the default mazes, so that a straight corridor with a wrong heading looks like a turn.
         posture_stiffness: stiffness of the arm's posture in the nullspace [N m/rad]; low, since the maze takes the arm
             far from its home.
         follower_speed: speed of the hand-written follower, which is the baseline and gives the demonstrations [m/s].
@@ -61,6 +68,7 @@ class MazeConfig(TaskConfig):
     duration: float = 20.0
     train_in: TrainingGround = "corridors"
     training_duration: float = 6.0
+    heading_error: float = 0.9
     stiffness: float = 150.0
     posture_stiffness: float = 2.0
     follower_speed: float = 0.055
@@ -79,6 +87,7 @@ class MazeConfig(TaskConfig):
 
     bounds: ClassVar[dict[str, Bounds]] = {
         "training_duration": Bounds(1e-3, 600.0, "s"),
+        "heading_error": Bounds(0.0, math.pi, "rad"),
         "posture_stiffness": Bounds(0.0, 1e4, "N m/rad"),
         "follower_speed": Bounds(1e-4, 10.0, "m/s"),
         "follower_lead": Bounds(1e-6, 1.0, "m"),
@@ -99,6 +108,8 @@ class RecedingConfig(MazeConfig):
     """Options of the maze recipes whose policy acts on ProMP weights.
 
     Attributes:
+        decides: what the policy adds: a residual to each of the weights, or a velocity, which moves all weights in
+            proportion to their time; the residuals below are then those of a weight at the end of the primitive.
         num_basis: number of basis functions of the ProMP for each of x, y and z.
         promp_duration: duration of the primitive [s].
         replan_steps: control steps from one policy step to the next.
@@ -112,6 +123,7 @@ class RecedingConfig(MazeConfig):
         batch_steps: policy steps of every environment in a batch.
     """
 
+    decides: Decision = "weights"
     num_basis: int = 8
     promp_duration: float = 0.8
     replan_steps: int = 15
@@ -132,6 +144,12 @@ class RecedingConfig(MazeConfig):
         "residual_up": Bounds(0.0, 10.0, "m"),
         "max_slip": Bounds(0.0, 10.0, "m/s"),
     }
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown decision and numbers out of bounds."""
+        if self.decides not in get_args(Decision):
+            raise ValueError(f"decides is {shown(self.decides)}; expected one of {list(get_args(Decision))}.")
+        super().__post_init__()
 
     @property
     def residual_scale(self) -> tuple[float, float, float]:
@@ -197,6 +215,19 @@ def make_maze_promp(config: RecedingConfig) -> ProMP:
         config.num_basis, len(MAZE_AXES), config.promp_duration, centres=centres,
         widths=torch.full_like(centres, width),
     )  # fmt: skip
+
+
+def velocity_map(promp: ProMP) -> Tensor:
+    """What a velocity ahead, to the left and up adds to the weights of a maze primitive.
+
+    Args:
+        promp: the primitive.
+
+    Returns:
+        ``(K * D, D)``, for an :class:`~ppt_rl.transforms.ActionMapTransform`: a unit moves each weight by the phase of
+        its centre, and so the trajectory in proportion to time.
+    """
+    return torch.block_diag(*[promp.centres.unsqueeze(-1)] * promp.num_dof)
 
 
 def maze_metrics(config: MazeConfig) -> MetricsConfig:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ppt_rl.envs import MazeEnv, MazeLayout
+from ppt_rl.envs import MazeEnv, MazeLayout, MazeRandomisation
 from ppt_rl.tasks.config import env_settings
 from ppt_rl.tasks.maze.config import MazeConfig
 
@@ -34,7 +34,8 @@ def make_training_env(
     settings |= {"duration": config.training_duration, "rewards": config.rewards}
     if in_mazes:
         return MazeEnv.mazes(ranges=config.mazes, **settings)
-    return MazeEnv.straight(ranges=config.corridors, **settings)
+    told = MazeRandomisation(heading_error=(-config.heading_error, config.heading_error))
+    return MazeEnv.straight(ranges=config.corridors, randomisation=told, **settings)
 
 
 def make_test_env(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from ppt_rl.envs import MazeLayout, MazeRanges, MazeRewards, Straight, StraightRanges, Turn
+from ppt_rl.envs import MazeEnv, MazeLayout, MazeRanges, MazeRewards, Straight, StraightRanges, Turn
 from ppt_rl.evaluation import find_recipe, record_episodes, run_episodes
 from ppt_rl.tasks.maze import (
     RecedingConfig,
@@ -17,6 +17,7 @@ from ppt_rl.tasks.maze import (
     make_test_env,
     make_training_env,
     maze_metrics,
+    velocity_map,
 )
 from ppt_rl.training import as_json, from_json, with_settings
 
@@ -70,6 +71,47 @@ def test_a_prior_is_fitted_to_corridors_wherever_the_policy_trains():
         config = replace(CONFIG, train_in=place)
         priors.append(fit_maze_prior(make_maze_promp(config), config, num_corridors=2).weights_mean)
     assert torch.equal(*priors)
+
+
+@pytest.mark.parametrize("error", [0.1, 1.3])
+def test_the_error_of_the_heading_that_training_tells_is_an_option(error: float):
+    env = make_training_env(replace(CONFIG, heading_error=error), num_envs=8, seed=0)
+    root = env.reset()
+    off = root["start_heading"] - root["corridor_heading"]
+    off = torch.atan2(off.sin(), off.cos()).abs()
+    assert 0.5 * error < off.max() <= error + 1e-6
+    env.close()
+
+
+def test_by_default_training_tells_the_headings_of_the_environment_s_own_default():
+    ours, its = (
+        make(num_envs=4, seed=3)
+        for make in (
+            lambda **kwargs: make_training_env(CONFIG, **kwargs),
+            lambda **kwargs: MazeEnv.straight(**kwargs),
+        )
+    )
+    assert ours.randomisation == its.randomisation
+    ours.close()
+    its.close()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_policy_that_decides_a_velocity_adds_it_to_that_of_the_primitive(axis: int):
+    promp = make_maze_promp(CONFIG).double()
+    phase = torch.linspace(0.0, 1.0, 41, dtype=torch.float64)
+    decided = torch.eye(3, dtype=torch.float64)[axis]
+    weights = (velocity_map(promp) @ decided).reshape(3, CONFIG.num_basis).mT  # axis by axis
+    position, velocity, _ = promp.decode(weights, phase)
+    along = torch.zeros(41, 3, dtype=torch.float64)
+    along[:, axis] = 1.0
+    assert (position - phase.unsqueeze(-1) * along).abs().max() < 0.02
+    assert (velocity * promp.duration - along).abs().max() < 0.1
+
+
+def test_an_unknown_decision_is_refused():
+    with pytest.raises(ValueError, match=r"decides is 'both'; expected one of \['weights', 'velocity'\]"):
+        replace(CONFIG, decides="both")
 
 
 def test_an_unknown_training_ground_is_refused():
