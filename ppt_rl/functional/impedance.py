@@ -191,7 +191,7 @@ def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping:
 
 
 def _solve(factor: Tensor, right: Tensor) -> Tensor:
-    """Solve ``L L^T x = right``; on a GPU in two steps, since there the solution in one makes the host wait."""
+    """Solve ``L L^T x = right``; on a GPU in two steps, since the solution in one seems to make the host wait there."""
     if is_readable(factor):
         return torch.cholesky_solve(right, factor)
     lower = torch.linalg.solve_triangular(factor, right, upper=False)
