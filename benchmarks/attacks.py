@@ -2,8 +2,9 @@
 
 Each attack is a policy that tries to get more power or work through than the tank allows. The executed power is torque
 times joint velocity at every control step, as the environment receives and observes them, evaluated in double
-precision; beside it stands what happened at the rate of the physics, which no law at control rate can bound: within a
-control step the torque is held while the velocity changes. ``--mode rate`` bounds what the torque itself does to it.
+precision; beside it stands what happened at the rate of the physics: within a control step the torque is held while the
+velocity changes. The paper's law does not see that; ``--mode rate`` bounds what the torque itself does to the velocity,
+``--mode impact`` what contact and Coriolis forces do as well.
 
 ``python benchmarks/attacks.py --steps 100000``
 """
@@ -140,7 +141,7 @@ def attack(name: str, run: Config, *, seed: int = 0) -> dict[str, float]:
     law = () if run.mode == "paper" else (run.mode, base.arm)
     transforms, key = chain(base, damping_key(run.mode)), damping_key(run.mode)
     env = TransformedEnv(base, Compose(motor_tank(run.p_max, run.e_max, *law), *transforms))
-    braking_counts = run.mode in ("paper", "rate")
+    braking_counts = run.mode in ("paper", "rate", "impact")
     executed = _watched(base)
     generator, most = torch.Generator().manual_seed(seed), torch.zeros(5, dtype=torch.float64)
     done, td, work, closed = 0, env.reset(), torch.zeros(run.num_envs, dtype=torch.float64), 0

@@ -16,7 +16,7 @@ from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.modules import Kinematics, ProMP, TaskSpace
-from ppt_rl.tasks import damping_key, episode_metrics, make_controller, motor_tank, tank_law
+from ppt_rl.tasks import damping_key, episode_metrics, make_controller, motor_tank, wrench_law
 from ppt_rl.tasks.push import PUSH, PUSH_AXES, ByGoal, EpisodeLevelConfig, fit_push_prior, make_push_policy
 from ppt_rl.transforms import (
     EnergyBudgetTransform,
@@ -39,7 +39,7 @@ class Config(EpisodeLevelConfig):
             for a position.
         budget_weight: reward subtracted for each joule that an episode is granted [1/J].
         initial_share: share of the range of budgets that the untrained policy asks for [-].
-        tank_mode: law of both tanks: paper, passive, parallel or rate.
+        tank_mode: law of the tanks: paper, passive, parallel, rate or impact.
     """
 
     run_dir: Path = Path("runs/ppt_budget_push")
@@ -62,7 +62,7 @@ def make_modules(config: Config) -> dict[str, ProMP]:
 def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain with a budget: what stands above the macro step runs at control rate."""
     mode, damping = config.tank_mode, damping_key(config.tank_mode)
-    law = tank_law(mode, base.arm.apparent_inertia)
+    law = wrench_law(mode, base.arm)
     return [
         motor_tank(config.p_max, config.e_max, mode, base.arm, e_max_key="e_max"),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length), damping_key=damping),

@@ -14,7 +14,7 @@ from torchrl.envs import Transform, TransformedEnv
 from ppt_rl.envs import MazeEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.modules import Kinematics, ProMP
-from ppt_rl.tasks import damping_key, make_controller, motor_tank, tank_law
+from ppt_rl.tasks import damping_key, make_controller, motor_tank, wrench_law
 from ppt_rl.tasks.maze import (
     MAZE,
     RecedingConfig,
@@ -58,7 +58,7 @@ def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
     return [
         motor_tank(config.p_max, config.e_max, mode, base.arm),
         JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, damping_key=damping),
-        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **tank_law(mode, base.arm.apparent_inertia)),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **wrench_law(mode, base.arm)),
         ImpedanceTransform(make_controller(config), damping_key=damping),
         EpisodeMetricsTransform(maze_metrics(config)),
         HeadingFrameTransform(),

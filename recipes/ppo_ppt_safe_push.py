@@ -16,7 +16,7 @@ from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.modules import Kinematics, ProMP, TaskSpace
-from ppt_rl.tasks import damping_key, episode_metrics, make_controller, motor_tank, tank_law
+from ppt_rl.tasks import damping_key, episode_metrics, make_controller, motor_tank, wrench_law
 from ppt_rl.tasks.push import PUSH, PUSH_AXES, ByGoal, EpisodeLevelConfig, fit_push_prior, make_push_policy
 from ppt_rl.transforms import (
     EnergyPenaltyTransform,
@@ -39,7 +39,7 @@ class Config(EpisodeLevelConfig):
         e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
         energy_penalty: reward subtracted for energy from the tank, in training [1/J]; None takes that of the goal: 0.5
             for a pose, 0 for a position.
-        tank_mode: law of both tanks: paper, passive, parallel or rate.
+        tank_mode: law of the tanks: paper, passive, parallel, rate or impact.
         f_max: largest force with which the impedance pushes a tool that is held still [N].
         catch_up_speed: speed at which the governed reference catches up once the tool comes free [m/s].
     """
@@ -69,7 +69,7 @@ def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
     return [
         motor_tank(config.p_max, config.e_max, mode, base.arm),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length), damping_key=damping),
-        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **tank_law(mode, base.arm.apparent_inertia)),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **wrench_law(mode, base.arm)),
         EnergyPenaltyTransform(config.energy_penalty),
         ImpedanceTransform(make_controller(config), damping_key=damping),
         ReferenceGovernorTransform(config.f_max, catch_up_speed=config.catch_up_speed, with_motion=True),

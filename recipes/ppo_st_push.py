@@ -16,7 +16,7 @@ from ppt_rl.envs import PushEnv
 from ppt_rl.evaluation import Recipe
 from ppt_rl.functional.checks import Bounds
 from ppt_rl.modules import Kinematics, ProMP
-from ppt_rl.tasks import damping_key, episode_metrics, make_controller, motor_tank, tank_law
+from ppt_rl.tasks import damping_key, episode_metrics, make_controller, motor_tank, wrench_law
 from ppt_rl.tasks.push import (
     PUSH,
     ByGoal,
@@ -43,7 +43,7 @@ class Config(StepWiseConfig):
         e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
         energy_penalty: reward subtracted for energy from the tank, in training [1/J]; None takes that of the goal: 0.5
             for a pose, 0 for a position.
-        tank_mode: law of both tanks: paper, passive, parallel or rate.
+        tank_mode: law of the tanks: paper, passive, parallel, rate or impact.
     """
 
     run_dir: Path = Path("runs/st_push")
@@ -60,7 +60,7 @@ def make_chain(config: Config, base: PushEnv, promp: ProMP | None = None) -> lis
     return [
         motor_tank(config.p_max, config.e_max, mode, base.arm),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length), damping_key=damping),
-        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **tank_law(mode, base.arm.apparent_inertia)),
+        EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **wrench_law(mode, base.arm)),
         EnergyPenaltyTransform(config.energy_penalty),
         ImpedanceTransform(make_controller(config), damping_key=damping),
         EpisodeMetricsTransform(episode_metrics(config)),

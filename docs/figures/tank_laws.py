@@ -16,7 +16,7 @@ for name, law in TANK_LAWS.items():
         {"damping": torch.zeros(1, 1)}
         if name == "parallel"
         else {"inertia": torch.tensor([3.0])}
-        if name == "rate"
+        if name in ("rate", "impact")
         else {}
     )
     for f, v in zip(force.view(-1, 1, 1), velocity.view(-1, 1, 1), strict=True):

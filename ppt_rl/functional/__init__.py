@@ -24,7 +24,8 @@ from ppt_rl.functional.impedance import (
 from ppt_rl.functional.lagrangian import MultiplierState, PIDGains, begin_multiplier, penalised, pid_multiplier
 from ppt_rl.functional.metrics import MetricsConfig, begin_metrics, summarise_metrics, update_metrics
 from ppt_rl.functional.reference_governor import GovernedReference, catch_up, govern_reference, limit_drive
-from ppt_rl.functional.tank_laws import parallel_tank, passive_tank, rate_tank
+from ppt_rl.functional.tank_ahead import impact_tank, rate_tank, recent_motion
+from ppt_rl.functional.tank_laws import parallel_tank, passive_tank
 
 __all__ = [
     "TANK_LAWS",
@@ -49,6 +50,7 @@ __all__ = [
     "damping_factor",
     "energy_tank",
     "govern_reference",
+    "impact_tank",
     "joint_torque",
     "kinetic_energy",
     "limit_drive",
@@ -63,6 +65,7 @@ __all__ = [
     "project_half_space",
     "project_half_spaces",
     "rate_tank",
+    "recent_motion",
     "spring_energy",
     "stiffness_factor",
     "summarise_metrics",

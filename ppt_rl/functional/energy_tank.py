@@ -8,7 +8,8 @@ from typing import Any
 
 from torch import Tensor
 
-from ppt_rl.functional.tank_laws import parallel_tank, passive_tank, rate_tank
+from ppt_rl.functional.tank_ahead import impact_tank, rate_tank
+from ppt_rl.functional.tank_laws import parallel_tank, passive_tank
 from ppt_rl.functional.tank_step import EnergyTankStep, TankLaw, budgets, coarsest, settled, upper_power, valve_for
 
 __all__ = ["TANK_LAWS", "EnergyTankStep", "TankLaw", "energy_tank", "law_reads"]
@@ -73,6 +74,7 @@ TANK_LAWS: dict[str, TankLaw] = {
     "passive": passive_tank,
     "parallel": parallel_tank,
     "rate": rate_tank,
+    "impact": impact_tank,
 }
 
 
@@ -83,6 +85,6 @@ def law_reads(law: Callable[..., Any]) -> frozenset[str]:
         law: the law.
 
     Returns:
-        Those of ``"damping"`` and ``"inertia"`` that are among its arguments.
+        Those of ``"damping"``, ``"inertia"`` and ``"stored"`` that are among its arguments.
     """
-    return frozenset({"damping", "inertia"} & set(inspect.signature(law).parameters))
+    return frozenset({"damping", "inertia", "stored"} & set(inspect.signature(law).parameters))

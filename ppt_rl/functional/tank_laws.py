@@ -1,4 +1,4 @@
-"""Laws of the tank beyond the paper's: braking that refills it, damping that always passes, and power within a step."""
+"""Laws of the tank beyond the paper's: braking that refills it, and damping that always passes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ppt_rl.functional.tank_step import (
     within,
 )
 
-__all__ = ["beside", "dissipative_part", "parallel_tank", "passive_tank", "rate_tank"]
+__all__ = ["beside", "dissipative_part", "parallel_tank", "passive_tank"]
 
 
 def passive_tank(
@@ -178,98 +178,3 @@ def beside(valve: Tensor, effort: Tensor, damping: Tensor) -> Tensor:
         ``(*B, N)``.
     """
     return valve * effort + (1 - valve) * damping
-
-
-def rate_tank(
-    effort: Tensor,
-    flow: Tensor,
-    energy: Tensor,
-    *,
-    p_max: float | Tensor,
-    e_max: float | Tensor,
-    dt: float,
-    eps: float = 1e-6,
-    inertia: Tensor,
-) -> EnergyTankStep:
-    r"""A law that looks ahead: it bounds the power of an effort at every moment of the step over which it is held.
-
-    An effort accelerates what it works on. While ``valve * effort`` is held, the flow after a time t is ``flow +
-    A^{-1} valve effort t``, where the inertia A is at least M. So its power is at most
-
-    .. math:: \gamma\, p + \gamma^2\, t\, a, \qquad p = |\mathrm{effort} \cdot \mathrm{flow}|,
-        \quad a = \mathrm{effort}^\top M^{-1} \mathrm{effort}
-
-    and its work at most ``gamma p dt + gamma^2 a dt^2 / 2``. The valve is the largest for which the first stays below
-    the limit at the end of the step, and the second below the level:
-
-    .. math::
-        \gamma &= \min\Big(1,\ r(P_{max},\ a \Delta t),\ r\big(E / \Delta t,\ \tfrac12 a \Delta t\big)\Big),
-        \qquad r(P, c) = \frac{2 P}{\max(2\epsilon,\ p + \sqrt{p^2 + 4 P c})} \\
-        E' &= \mathrm{clip}\big(E - (\gamma\, p + \tfrac12 \gamma^2 a \Delta t)\, \Delta t,\ 0,\ E_{max}\big)
-
-    Hence, for finite inputs whose products do not underflow, the stored numbers satisfy, evaluated exactly for an
-    inertia M that is given by axis,
-
-    * ``|(valve effort) . (flow + A^{-1} valve effort t)| <= p_max`` for every t in [0, dt] and every A of at least M,
-      in particular the bound of the paper's law, that for t = 0;
-    * over an episode, the sum of the integrals of that power over the steps is at most ``E_0``.
-
-    With a matrix, the same holds up to the rounding of a solution in double precision. What else accelerates, such as
-    contact, gravity or Coriolis forces, is beyond the law.
-
-    Args:
-        effort: ``(*B, N)`` nominal effort: wrench [N, N m] or joint torque [N m].
-        flow: ``(*B, N)`` the velocity it works on: twist [m/s, rad/s] or joint velocity [rad/s].
-        energy: ``(*B, 1)`` level of the tank [J].
-        p_max: power limit [W]; a number, or ``(*B, 1)`` where it is given per step.
-        e_max: capacity of the tank [J], likewise; one below the level clips it before the step.
-        dt: control step [s].
-        eps: smallest power that is divided by [W].
-        inertia: M, a lower bound of the inertia: ``(N,)`` by axis, positive, or a positive definite matrix ``(N, N)``
-            or ``(*B, N, N)`` [kg, kg m^2].
-
-    Returns:
-        Valve, next level and worst mean power over the step.
-
-    Raises:
-        ValueError: if effort, flow, level or a limit is not finite, or a shape does not fit.
-
-    Source:
-        The paper's law, eq. (10), with the velocity within the step; the roots of the quadratic are ours.
-    """
-    ulp = coarsest(effort.dtype, flow.dtype, energy.dtype)
-    energy, p_max, e_max = budgets(energy, p_max, e_max)
-    p, fits = upper_power(effort, flow, energy, ulp)
-    gain = _yield(effort, inertia, ulp) * (dt * (1 + 2 * ulp))  # a dt [W]
-    usual = gain.isfinite() & (gain >= 0)
-    fits = usual if fits is None else fits & usual
-    gain = torch.where(fits, gain, 0.0)
-    tiny, ulps = torch.finfo(energy.dtype).tiny, 8 * ulp
-    usable = torch.threshold(energy, tiny / ulps, 0.0)  # [J]
-    by_power = _root(p, gain, p_max, eps)
-    by_level = _root(p, 0.5 * gain, (usable / dt).clamp_max(p_max), eps)
-    valve = torch.minimum(by_power, by_level) * fits * (1 - ulps)
-    valve = torch.threshold(valve.clamp_max(1.0), tiny, 0.0)
-    power = valve * (p + valve * (0.5 * gain))
-    return settled(valve, power, power > 0, energy, e_max=e_max, dt=dt, ulp=2 * ulp)
-
-
-def _root(p: Tensor, c: Tensor, limit: float | Tensor, eps: float) -> Tensor:
-    """The positive root of ``g p + g^2 c = limit`` ``(*B, 1)`` [-], in a form in which nothing cancels."""
-    return 2 * limit / (p + (p * p + 4 * limit * c).sqrt()).clamp_min(2 * eps)
-
-
-def _yield(effort: Tensor, inertia: Tensor, ulp: float) -> Tensor:
-    """``effort . M^-1 effort`` ``(*B, 1)`` [W/s], rounded up: how fast an effort raises its own power."""
-    size = effort.shape[-1]
-    share = 1 + 0.5 * (size + 6) * ulp
-    if inertia.shape == (size,):
-        return (effort * effort / inertia).sum(-1, keepdim=True) * share
-    if inertia.shape[-2:] != (size, size):
-        raise ValueError(
-            f"inertia has shape {tuple(inertia.shape)}; expected ({size},) by axis, or a matrix ({size}, {size}) for "
-            f"the effort {tuple(effort.shape)}."
-        )
-    column = effort.to(torch.float64).unsqueeze(-1)
-    solved = torch.linalg.solve(inertia.to(torch.float64), column)
-    return (column * solved).sum(-2).to(effort.dtype) * share

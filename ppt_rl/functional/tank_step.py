@@ -51,8 +51,9 @@ class TankLaw(Protocol):
     From then on ``EnergyTankTransform(mode="shut")`` runs it. The arguments are those of
     :func:`~ppt_rl.functional.energy_tank.energy_tank`. The limits ``p_max`` and ``e_max`` are numbers, or tensors
     ``(*B, 1)`` where they are given per step. A law says by its signature what else it reads: with a keyword argument
-    ``damping`` it gets the dissipative part of the effort, which passes whole, and with ``inertia`` the inertia that
-    the effort accelerates.
+    ``damping`` it gets the dissipative part of the effort, which passes whole, with ``inertia`` the inertia that the
+    effort accelerates, and with ``stored`` the energy that contact may hold, in the same inertia
+    (:func:`~ppt_rl.functional.tank_ahead.recent_motion`).
     """
 
     def __call__(self, effort: Tensor, flow: Tensor, energy: Tensor, *args: Any, **kwargs: Any) -> EnergyTankStep:

@@ -8,6 +8,7 @@ from ppt_rl.tasks.config import (
     make_controller,
     motor_tank,
     tank_law,
+    wrench_law,
 )
 
 __all__ = [
@@ -18,4 +19,5 @@ __all__ = [
     "make_controller",
     "motor_tank",
     "tank_law",
+    "wrench_law",
 ]

@@ -24,10 +24,13 @@ __all__ = [
     "make_controller",
     "motor_tank",
     "tank_law",
+    "wrench_law",
 ]
 
 #: Largest numbers of physics steps in a control step, of control steps in an episode, and in those of all environments.
 _MAX_SUBSTEPS, _MAX_STEPS, _MAX_TOTAL = 1000, 60_000, 20_000_000
+#: Law of the tank that meters the wrench, where it is another one than at the motors.
+_WRENCH_LAWS = {"impact": "rate"}
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,20 @@ def tank_law(mode: str, inertia: Sequence[float] | Kinematics | None) -> dict[st
     if law is not None and "inertia" in law_reads(law):
         read["inertia"] = inertia
     return read if damping_key(mode) is None else read | {"damping_key": damping_key(mode)}
+
+
+def wrench_law(mode: str, arm: Arm) -> dict[str, Any]:
+    """The same for the paper's tank, which stands behind the one at the motors and meters the wrench of the task.
+
+    Args:
+        mode: name of the law of the tank at the motors.
+        arm: the arm, whose apparent inertia some laws read.
+
+    Returns:
+        Keyword arguments by name. ``"impact"`` needs the inertia itself, which the arm as a whole has; a wrench is
+        metered by ``"rate"`` then, to which a bound of the apparent inertia is enough.
+    """
+    return tank_law(_WRENCH_LAWS.get(mode, mode), arm.apparent_inertia)
 
 
 def damping_key(mode: str) -> str | None:

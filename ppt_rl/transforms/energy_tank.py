@@ -11,15 +11,18 @@ from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from ppt_rl.functional.checks import is_readable, require_positive
-from ppt_rl.functional.energy_tank import TANK_LAWS
+from ppt_rl.functional.energy_tank import TANK_LAWS, law_reads
 from ppt_rl.functional.limits import EffortBounds, scale_into
+from ppt_rl.functional.tank_ahead import recent_motion
 from ppt_rl.functional.tank_laws import beside
 from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.chain import transforms_after
 from ppt_rl.transforms.flow import flow_of_size, same_shape
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
+from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.step_limits import StepLimitsTransform
 from ppt_rl.transforms.tank_inputs import (
+    held_key,
     passing_part,
     require_inertia,
     require_keys,
@@ -53,8 +56,12 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
     * ``"parallel"`` (:func:`~ppt_rl.functional.tank_laws.parallel_tank`): damping passes beside the valve, as long as
       it brakes. An :class:`ImpedanceTransform` with the same ``damping_key`` writes it, and a
       :class:`JointTorqueTransform` in between carries it to joint space.
-    * ``"rate"`` (:func:`~ppt_rl.functional.tank_laws.rate_tank`): the power counts at every moment of the control step
+    * ``"rate"`` (:func:`~ppt_rl.functional.tank_ahead.rate_tank`): the power counts at every moment of the control step
       over which the effort is held, with the velocity that the effort itself adds, by ``inertia``.
+    * ``"impact"`` (:func:`~ppt_rl.functional.tank_ahead.impact_tank`): the same, whatever passive contact does to the
+      velocity in the step. It belongs at the motors, since it needs the inertia of the whole arm. One more state is
+      ``tank_energy_held`` ``(*B, 1)`` [J], what contact may hold and give back
+      (:func:`~ppt_rl.functional.tank_ahead.recent_motion`).
 
     Where the tank stands in the chain decides what it guarantees:
 
@@ -66,8 +73,8 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
       task's wrench. Posture torque and torque limits come later, so it says nothing about the torque that is executed.
 
     Both count the velocity observed when the action is chosen as constant over the control step. What the velocity does
-    within the step is beyond them; ``EngineConfig(audit=True)`` measures it, and ``mode="rate"`` counts the part that
-    the effort causes. Append a tank before a :class:`MacroStepTransform`, never after.
+    within the step is beyond them; ``EngineConfig(audit=True)`` measures it, ``mode="rate"`` counts the part that the
+    effort causes, and ``mode="impact"`` also what contact causes. Append a tank before a :class:`MacroStepTransform`.
 
     With ``p_max_key`` or ``e_max_key``, a policy or a schedule gives limits per step, ``(*B, 1)``, in [0, ``p_max``]
     and [0, ``e_max``]; what lies outside is clamped to these hard bounds. A higher capacity does not fill the tank, a
@@ -153,6 +160,7 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
         self.p_max_key, self.e_max_key = p_max_key, e_max_key
         self.out_keys = list(out_keys)
         self.energy_key, self.valve_key = out_keys
+        self.held_key = held_key(self.energy_key) if "stored" in law_reads(self.law) else None
 
     @property
     def _readings(self) -> tuple[NestedKey, ...]:
@@ -174,6 +182,10 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
             read["inertia"] = self.kinematics.inertia(*self._recall(tensordict, "joint_position"))
         elif self.inertia is not None:
             read["inertia"] = self.inertia.to(effort)
+        if self.held_key is not None:
+            before = self._known(tensordict, self.held_key)
+            read["stored"] = recent_motion(flow, read["inertia"], before, dt=self.dt)
+            self._stash(tensordict, self.held_key, read["stored"])
         if self.damping_key is not None:
             (damping,) = self._require(tensordict, self.damping_key)
             read["damping"] = passing_part(self.damping_key, damping, effort, flow, bounds, factor)
@@ -227,18 +239,20 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
     # -- state --------------------------------------------------------------------------------------------------------
 
     def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        self._unstash(tensordict, next_tensordict, self.energy_key)
-        self._unstash(tensordict, next_tensordict, self.valve_key)
-        for key in self._held():
+        for key in self._first():
             self._unstash(tensordict, next_tensordict, key)
         return next_tensordict
 
     def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         zeros = self._zeros(self._state_specs(self.parent.batch_size, self._like()), tensordict_reset)
-        first = {self.energy_key: self.e_max, self.valve_key: 1.0, **self._held()}
-        for key, value in first.items():
+        for key, value in self._first().items():
             self._restart(tensordict, tensordict_reset, key, zeros[key] + value)
         return tensordict_reset
+
+    def _first(self) -> dict[NestedKey, float]:
+        """The state at the start of an episode."""
+        held = {} if self.held_key is None else {self.held_key: 0.0}
+        return {self.energy_key: self.e_max, self.valve_key: 1.0, **self._held(), **held}
 
     # -- specs --------------------------------------------------------------------------------------------------------
 
@@ -284,4 +298,5 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
             return Bounded(0.0, high, shape=(*like.shape[:-1], 1), dtype=like.dtype, device=like.device)
 
         limits = {key: column(most) for key, most in self._held().items()}
-        return {self.energy_key: column(self.e_max), self.valve_key: column(1.0), **limits}
+        held = {} if self.held_key is None else {self.held_key: real(like, *like.shape[:-1], 1)}
+        return {self.energy_key: column(self.e_max), self.valve_key: column(1.0), **limits, **held}

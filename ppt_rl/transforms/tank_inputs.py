@@ -15,7 +15,15 @@ from ppt_rl.functional.energy_tank import law_reads
 from ppt_rl.functional.limits import EffortBounds, scale_into
 from ppt_rl.functional.tank_laws import dissipative_part
 
-__all__ = ["limit_within", "passing_part", "require_inertia", "require_keys", "require_level", "require_read"]
+__all__ = [
+    "held_key",
+    "limit_within",
+    "passing_part",
+    "require_inertia",
+    "require_keys",
+    "require_level",
+    "require_read",
+]
 
 #: What a law may read, and the argument of the transform that gives it.
 _ARGUMENTS = {"damping": "damping_key", "inertia": "inertia"}
@@ -42,6 +50,19 @@ def require_keys(out_keys: tuple[NestedKey, ...], p_max_key: NestedKey | None, e
             f"p_max_key is {p_max_key!r} and e_max_key {e_max_key!r}; expected keys that differ from each other and "
             f"from out_keys {out_keys}."
         )
+
+
+def held_key(energy_key: NestedKey) -> NestedKey:
+    """Where a tank keeps the energy that contact may hold: beside its level.
+
+    Args:
+        energy_key: where the level is written.
+
+    Returns:
+        The same key with ``_held`` appended to its last part.
+    """
+    *nest, name = energy_key if isinstance(energy_key, tuple) else (energy_key,)
+    return unravel_key((*nest, f"{name}_held"))
 
 
 def require_read(mode: str, law: Callable[..., Any], damping_key: NestedKey | None, inertia: Any) -> None:

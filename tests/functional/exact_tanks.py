@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from ppt_rl.functional import EnergyTankStep, parallel_tank, passive_tank, rate_tank
+from ppt_rl.functional import EnergyTankStep, impact_tank, parallel_tank, passive_tank, rate_tank
 from ppt_rl.functional.tank_laws import beside, dissipative_part
 
 
@@ -24,6 +24,7 @@ LAW_CASES = {
     "passive": LawCase(passive_tank, lambda damping, inertia: {}),
     "parallel": LawCase(parallel_tank, lambda damping, inertia: {"damping": damping}),
     "rate": LawCase(rate_tank, lambda damping, inertia: {"inertia": inertia}),
+    "impact": LawCase(impact_tank, lambda damping, inertia: {"inertia": inertia}),
 }
 
 
@@ -47,7 +48,7 @@ def check_step(
 ) -> tuple[Tensor, Fraction]:
     """One control step of a law: assert what its docstring states, and return the level and the energy delivered [J].
 
-    What is delivered is the net energy; for ``rate`` it is the integral of the worst power over the step.
+    What is delivered is the net energy; for laws that look ahead it is the integral of the worst power over the step.
     """
     case = LAW_CASES[name]
     out = case.law(effort, flow, energy, p_max=p_max, e_max=e_max, dt=dt, **case.read(damping, inertia))
@@ -87,9 +88,13 @@ def check_result(
         active = exact(out.valve) * abs(dot(fractions(effort - passed), fractions(flow)))
         assert active <= limit
         assert active * step <= paid
-    if name == "rate":
-        held = fractions(executed)
-        rise = dot(held, [x / m for x, m in zip(held, fractions(inertia), strict=True)])
+    if name in ("rate", "impact"):
+        held, masses = fractions(executed), fractions(inertia)
+        rise = dot(held, [x / m for x, m in zip(held, masses, strict=True)])
+        if name == "impact":  # sqrt(rise) sqrt(square) + step rise <= limit, without the roots
+            square = dot(fractions(flow), [v * m for v, m in zip(fractions(flow), masses, strict=True)])
+            assert step * rise <= limit
+            assert rise * square <= (limit - step * rise) ** 2
         assert abs(power) + step * rise <= limit
         delivered = step * (abs(power) + step * rise / 2)
     assert delivered <= paid

@@ -54,7 +54,7 @@ class MazeConfig(TaskConfig):
         follower_speed: speed of the hand-written follower, which is the baseline and gives the demonstrations [m/s].
         follower_lead: distance of its reference ahead of the tool [m].
         e_max: capacity of the tank [J].
-        tank_mode: law of both tanks: paper, passive, parallel or rate.
+        tank_mode: law of the tanks: paper, passive, parallel, rate or impact.
         cutoff: cutoff of the low-pass in the metrics of jerk and force [Hz].
         depth: distance of the reference below the tool, which presses it on the floor [m].
         layouts: JSON files of mazes to be judged in, taken in turn; with none, mazes are drawn at random.

@@ -12,7 +12,7 @@ from ppt_rl.envs.maze import MazeEnv
 from ppt_rl.functional.heading import to_heading
 from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.modules.promp import ProMP
-from ppt_rl.tasks.config import damping_key, make_controller, motor_tank, tank_law
+from ppt_rl.tasks.config import damping_key, make_controller, motor_tank, wrench_law
 from ppt_rl.tasks.maze.config import MazeConfig, maze_metrics, maze_space
 from ppt_rl.tasks.maze.environments import make_training_env
 from ppt_rl.tasks.maze.follower import WallFollower
@@ -57,9 +57,7 @@ def make_follower_env(config: MazeConfig, base: MazeEnv) -> TransformedEnv:
         Compose(
             motor_tank(config.p_max, config.e_max, mode, base.arm),
             JointTorqueTransform(kinematics, posture_stiffness=config.posture_stiffness, damping_key=damping),
-            EnergyTankTransform(
-                config.p_max, config.e_max, flow_key="twist", **tank_law(mode, base.arm.apparent_inertia)
-            ),
+            EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **wrench_law(mode, base.arm)),
             ImpedanceTransform(make_controller(config), damping_key=damping),
             EpisodeMetricsTransform(maze_metrics(config)),
             HeadingFrameTransform(),
