@@ -7,6 +7,8 @@ import math
 import torch
 from torch import Tensor
 
+from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.shape_checks import require_same_batch
 from ppt_rl.functional.tank_step import EnergyTankStep, budgets, coarsest, settled, upper_power
 
 __all__ = ["impact_tank", "rate_tank", "recent_motion"]
@@ -142,17 +144,11 @@ def impact_tank(
     Source:
         Ours.
     """
-    return _look_ahead(
-        effort,
-        flow,
-        energy,
-        inertia,
-        p_max=p_max,
-        e_max=e_max,
-        dt=dt,
-        eps=eps,
-        contact=0.0 if stored is None else stored,
-    )
+    if stored is not None:
+        require_last_dim("stored", stored, 1)
+        require_same_batch(flow=flow, stored=stored)
+    contact = 0.0 if stored is None else stored
+    return _look_ahead(effort, flow, energy, inertia, p_max=p_max, e_max=e_max, dt=dt, eps=eps, contact=contact)
 
 
 def recent_motion(flow: Tensor, inertia: Tensor, before: Tensor | None, *, dt: float) -> Tensor:
@@ -174,10 +170,17 @@ def recent_motion(flow: Tensor, inertia: Tensor, before: Tensor | None, *, dt: f
     Returns:
         ``(*B, 1)`` energy [J].
 
+    Raises:
+        ValueError: if a shape does not fit.
+
     Source:
         Ours.
     """
+    _require_inertia(flow, inertia)
     kinetic = _kinetic_energy(flow, inertia)
+    if before is not None:
+        require_last_dim("before", before, 1)
+        require_same_batch(flow=flow, before=before)
     return kinetic if before is None else torch.maximum(kinetic, before * math.exp(-dt / _CONTACT_TIME))
 
 
@@ -195,6 +198,7 @@ def _look_ahead(
 ) -> EnergyTankStep:
     """Both laws. Without ``contact`` [J] it bounds the power of the velocity, with it the largest of any direction."""
     ulp = coarsest(effort.dtype, flow.dtype, energy.dtype)
+    _require_inertia(effort, inertia)
     energy, p_max, e_max = budgets(energy, p_max, e_max)
     p, fits = upper_power(effort, flow, energy, ulp)
     rise = _rise(effort, inertia, ulp)  # s^2 [W/s]
@@ -213,6 +217,15 @@ def _look_ahead(
     return settled(valve, power, power > 0, energy, e_max=e_max, dt=dt, ulp=2 * ulp)
 
 
+def _require_inertia(effort: Tensor, inertia: Tensor) -> None:
+    size = effort.shape[-1]
+    if inertia.shape != (size,) and inertia.shape[-2:] != (size, size):
+        raise ValueError(
+            f"inertia has shape {tuple(inertia.shape)}; expected ({size},) by axis, or a matrix ({size}, {size}) for "
+            f"the effort {tuple(effort.shape)}."
+        )
+
+
 def _root(b: Tensor, c: Tensor, limit: float | Tensor, eps: float) -> Tensor:
     """The positive root of ``g b + g^2 c = limit`` ``(*B, 1)`` [-], in a form in which nothing cancels."""
     return 2 * limit / (b + (b * b + 4 * limit * c).sqrt()).clamp_min(2 * eps)
@@ -224,11 +237,6 @@ def _rise(effort: Tensor, inertia: Tensor, ulp: float) -> Tensor:
     share = 1 + 0.5 * (size + 6) * ulp
     if inertia.shape == (size,):
         return (effort * effort / inertia).sum(-1, keepdim=True) * share
-    if inertia.shape[-2:] != (size, size):
-        raise ValueError(
-            f"inertia has shape {tuple(inertia.shape)}; expected ({size},) by axis, or a matrix ({size}, {size}) for "
-            f"the effort {tuple(effort.shape)}."
-        )
     column = effort.to(torch.float64).unsqueeze(-1)
     solved = torch.linalg.solve(inertia.to(torch.float64), column)
     return (column * solved).sum(-2).to(effort.dtype) * share

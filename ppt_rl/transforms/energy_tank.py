@@ -59,9 +59,8 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
     * ``"rate"`` (:func:`~ppt_rl.functional.tank_ahead.rate_tank`): the power counts at every moment of the control step
       over which the effort is held, with the velocity that the effort itself adds, by ``inertia``.
     * ``"impact"`` (:func:`~ppt_rl.functional.tank_ahead.impact_tank`): the same, whatever passive contact does to the
-      velocity in the step. It belongs at the motors, since it needs the inertia of the whole arm. One more state is
-      ``tank_energy_held`` ``(*B, 1)`` [J], what contact may hold and give back
-      (:func:`~ppt_rl.functional.tank_ahead.recent_motion`).
+      velocity in the step. It needs the inertia of the whole arm, so it belongs at the motors. What contact may hold
+      (:func:`~ppt_rl.functional.tank_ahead.recent_motion`) is one more state, ``tank_energy_held`` ``(*B, 1)`` [J].
 
     Where the tank stands in the chain decides what it guarantees:
 
@@ -156,8 +155,7 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
         self.kinematics = inertia if isinstance(inertia, Kinematics) else None
         constant = None if inertia is None or isinstance(inertia, Kinematics) else require_inertia(inertia)
         self.register_buffer("inertia", constant, persistent=False)
-        self.flow_key, self.damping_key = flow_key, damping_key
-        self.p_max_key, self.e_max_key = p_max_key, e_max_key
+        self.flow_key, self.damping_key, self.p_max_key, self.e_max_key = flow_key, damping_key, p_max_key, e_max_key
         self.out_keys = list(out_keys)
         self.energy_key, self.valve_key = out_keys
         self.held_key = held_key(self.energy_key) if "stored" in law_reads(self.law) else None

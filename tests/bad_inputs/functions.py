@@ -19,6 +19,7 @@ from ppt_rl.functional import (
     damping_factor,
     energy_tank,
     govern_reference,
+    impact_tank,
     joint_torque,
     kinetic_energy,
     limit_drive,
@@ -32,6 +33,7 @@ from ppt_rl.functional import (
     project_half_space,
     project_half_spaces,
     rate_tank,
+    recent_motion,
     spring_energy,
     stiffness_factor,
     summarise_metrics,
@@ -106,6 +108,12 @@ _TANKS = [
     bad(parallel_tank, r"damping has shape \(2, 7\)", _TWIST, _TWIST, _ONE, damping=_POSE, **_TANK),
     bad(parallel_tank, r"damping holds 12 NaN", _TWIST, _TWIST, _ONE, damping=_TWIST * math.nan, **_TANK),
     bad(rate_tank, r"inertia has shape \(7,\)", _TWIST, _TWIST, _ONE, inertia=torch.ones(7), **_TANK),
+    bad(impact_tank, r"inertia has shape \(7,\)", _TWIST, _TWIST, _ONE, inertia=torch.ones(7), **_TANK),
+    bad(
+        impact_tank, r"stored has shape \(2,\)", _TWIST, _TWIST, _ONE, inertia=torch.ones(6), stored=_ONE[:, 0], **_TANK
+    ),
+    bad(recent_motion, r"inertia has shape \(7,\)", _TWIST, torch.ones(7), None, dt=0.01),
+    bad(recent_motion, r"before.*shape \(2,\)", _TWIST, torch.ones(6), _ONE[:, 0], dt=0.01),
     bad(braking_part, r"reference_twist has shape \(2, 7\)", _TWIST, _POSE, _TWIST),
 ]
 _REACH = {"limits": (20.0, 2.0)}

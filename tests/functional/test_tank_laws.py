@@ -5,12 +5,12 @@ from fractions import Fraction
 
 import pytest
 import torch
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from ppt_rl.functional import energy_tank, parallel_tank, passive_tank, rate_tank
+from ppt_rl.functional import energy_tank, parallel_tank, passive_tank
 from ppt_rl.functional.tank_laws import beside, dissipative_part
 from tests.functional.exact_tanks import LAW_CASES, check_result, check_step, dot, exact, fractions
 
@@ -253,86 +253,6 @@ def test_an_open_valve_leaves_the_effort_exactly_as_it_is(dtype, effort, damping
 def test_a_damping_of_another_space_is_refused():
     with pytest.raises(ValueError, match=r"damping has shape \(2, 6\).*expected that of the velocity.*\(2, 7\)"):
         parallel_tank(torch.ones(2, 7), torch.ones(2, 7), torch.ones(2, 1), **LIMITS, damping=torch.ones(2, 6))
-
-
-# -- rate --------------------------------------------------------------------------------------------------------------
-
-
-@each_dtype
-@settings(LAWS, max_examples=80)
-@given(
-    force=st.floats(-3.0, 3.0), speed=st.floats(-4.0, 1.0), mass=st.floats(-1.0, 1.0), fullness=st.floats(1e-6, 1.0),
-    sign=st.sampled_from([-1.0, 1.0]),
-)  # fmt: skip
-@example(force=2.0, speed=-9.0, mass=0.0, fullness=1.0, sign=1.0)
-def test_valve_and_level_equal_the_formula_within_a_few_ulps(dtype, force, speed, mass, fullness, sign):
-    f, v, m = (column(10.0**x, dtype) for x in (force, speed, mass))
-    energy = column(3 * fullness, dtype)
-    out = rate_tank(sign * f, v, energy, **LIMITS, inertia=m)
-    p, a = f.item() * v.item(), f.item() ** 2 / m.item()
-    spread = [(2.0, 0.01 * a), (energy.item() / 0.01, 0.005 * a)]
-    valve = min(1.0, *(2 * limit / max(2e-6, p + math.sqrt(p * p + 4 * limit * c)) for limit, c in spread))
-    ulp = torch.finfo(dtype).eps
-    assert out.valve.item() == pytest.approx(valve, rel=32 * ulp)
-    assert out.power.item() == pytest.approx(valve * p + valve**2 * 0.005 * a, rel=64 * ulp)
-    assert out.energy.item() == pytest.approx(energy.item() - 0.01 * out.power.item(), abs=32 * ulp * energy.item())
-
-
-@each_dtype
-@LAWS
-@given(effort=VECTOR, flow=VECTOR, fullness=FULLNESS)
-def test_the_papers_law_is_the_limit_of_a_large_inertia_and_never_the_stricter_one(dtype, effort, flow, fullness):
-    effort, flow = (torch.tensor(value, dtype=dtype) for value in (effort, flow))
-    args = effort, flow, column(3 * fullness, dtype)
-    paper = energy_tank(*args, **LIMITS).valve.item()
-    heavy = rate_tank(*args, **LIMITS, inertia=torch.full((6,), 1e30, dtype=dtype)).valve.item()
-    light = rate_tank(*args, **LIMITS, inertia=INERTIA.to(dtype)).valve.item()
-    assert heavy == pytest.approx(paper, rel=1e-5, abs=1e-20)
-    assert light <= heavy
-
-
-@each_dtype
-def test_a_matrix_of_inertia_bounds_what_it_accelerates(dtype):
-    generator = torch.Generator().manual_seed(0)
-    factor = torch.randn(5, 6, 6, generator=generator, dtype=dtype)
-    inertia = factor @ factor.mT + torch.eye(6, dtype=dtype)
-    effort, flow = (10 * torch.randn(5, 6, generator=generator, dtype=dtype) for _ in range(2))
-    for given_inertia in (inertia, inertia[0]):
-        out = rate_tank(effort, flow, torch.ones(5, 1, dtype=dtype), **LIMITS, inertia=given_inertia)
-        held = (out.valve * effort).double()
-        moved = flow.double() + 0.01 * torch.linalg.solve(given_inertia.double(), held.unsqueeze(-1)).squeeze(-1)
-        power = torch.stack([(held * flow.double()).sum(-1).abs(), (held * moved).sum(-1).abs()])
-        assert (power <= 2.0 * (1 + 1e-12)).all()
-        assert power.max() > 1.0
-    diagonal = rate_tank(effort, flow, torch.ones(5, 1, dtype=dtype), **LIMITS, inertia=INERTIA.to(dtype))
-    matrix = rate_tank(effort, flow, torch.ones(5, 1, dtype=dtype), **LIMITS, inertia=INERTIA.to(dtype).diag())
-    assert_close(diagonal, matrix, rtol=1e-5, atol=0.0)
-
-
-def test_the_power_at_the_end_of_a_step_would_exceed_the_limit_behind_the_papers_law():
-    effort, flow, energy = torch.tensor([50.0]), torch.zeros(1), torch.ones(1)
-    inertia = torch.ones(1)
-    ends = []
-    for step in (
-        energy_tank(effort, flow, energy, **LIMITS),
-        rate_tank(effort, flow, energy, **LIMITS, inertia=inertia),
-    ):
-        held = step.valve * effort
-        ends.append(float(held * (flow + 0.01 * held / inertia)))
-    assert ends[0] == pytest.approx(25.0)
-    assert 1.99 < ends[1] <= 2.0
-
-
-@pytest.mark.parametrize("shape", [(5,), (6, 5), (2, 1, 6)])
-def test_an_inertia_of_another_shape_is_refused(shape):
-    with pytest.raises(ValueError, match=r"inertia has shape .*; expected \(6,\) by axis, or a matrix \(6, 6\)"):
-        rate_tank(torch.ones(2, 6), torch.ones(2, 6), torch.ones(2, 1), **LIMITS, inertia=torch.ones(shape))
-
-
-@pytest.mark.parametrize("inertia", [-torch.ones(6), -torch.eye(6), torch.zeros(6)])
-def test_an_inertia_that_nothing_has_closes_the_valve(inertia):
-    out = rate_tank(torch.ones(2, 6), torch.ones(2, 6), torch.ones(2, 1), **LIMITS, inertia=inertia)
-    assert not out.valve.any()
 
 
 # -- the oracle --------------------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from ppt_rl.functional import (
     damping_factor,
     energy_tank,
     govern_reference,
+    impact_tank,
     joint_torque,
     nullspace_torque,
     orientation_error,
@@ -29,6 +30,7 @@ from ppt_rl.functional import (
     project_half_spaces,
     promp,
     rate_tank,
+    recent_motion,
     rotations,
     stiffness_factor,
     summarise_metrics,
@@ -87,6 +89,12 @@ def rate(effort, flow, energy):
     return rate_tank(effort, flow, energy, p_max=1.0, e_max=3.0, dt=0.01, inertia=inertia)
 
 
+def impact(effort, flow, energy):
+    inertia = torch.ones(effort.shape[-1], dtype=effort.dtype)
+    stored = recent_motion(flow, inertia, energy, dt=0.01)
+    return impact_tank(effort, flow, energy, p_max=1.0, e_max=3.0, dt=0.01, inertia=inertia, stored=stored)
+
+
 def touch_and_place(pose, force, velocity, heading):
     wall = wall_contact(force, velocity, heading, friction=0.25, slow=0.01)
     contact = is_touching(heading > 0, force[..., :1].abs(), on=0.5, off=0.1)
@@ -110,6 +118,7 @@ CASES = {
     "passive_tank": (passive, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
     "parallel_tank": (parallel, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
     "rate_tank": (rate, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
+    "impact_tank": (impact, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
     "braking_part": (braking_part, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 6))),
     "energy_tank": (tank, lambda: (normal(B, 6), normal(B, 6, seed=1), positive(B, 1))),
     "cartesian_impedance": (

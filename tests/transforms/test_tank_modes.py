@@ -156,6 +156,22 @@ def test_an_inertia_may_be_a_matrix():
     torch.testing.assert_close(*levels, rtol=1e-5, atol=1e-7)
 
 
+def test_what_contact_may_hold_is_state_of_each_environment_and_begins_anew_with_an_episode():
+    env = TransformedEnv(MockArmEnv((2,)), EnergyTankTransform(5.0, 3.0, mode="impact", inertia=[2.0] * 7))
+    td = env.reset()
+    assert not td["tank_energy_held"].any()
+    for _ in range(3):
+        td = env._step_mdp(env.step(td.set("action", torch.ones(2, 7))))
+    held = td["tank_energy_held"].clone()
+    assert (held > 0).all()
+    td["_reset"] = torch.tensor([[True], [False]])
+    td = env.reset(td)
+    assert td["tank_energy_held"].flatten().tolist() == [0.0, held[1].item()]
+    td.set("tank_energy_held", torch.zeros(2, 1))  # nobody else may say that nothing is held
+    td = env._step_mdp(env.step(td.set("action", torch.ones(2, 7))))
+    assert td["tank_energy_held"][1] > 0.9 * held[1]
+
+
 def test_a_damping_that_stays_a_wrench_on_the_way_to_joint_torque_is_refused():
     chain = [
         EnergyTankTransform(flow_key="joint_velocity", mode="parallel", damping_key="damping"),
