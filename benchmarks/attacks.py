@@ -132,7 +132,9 @@ def attack(name: str, run: Config, *, seed: int = 0) -> dict[str, float]:
     Returns:
         ``power`` and ``work``, the largest executed at control rate as shares of ``p_max`` and ``e_max``;
         ``closed``, share of the control steps in which the valve was not fully open; ``true_power`` [W] and
-        ``true_work`` [J], the largest at the rate of the physics; ``steps``.
+        ``true_work`` [J], the largest at the rate of the physics; ``net_energy``, the largest that the torque has
+        delivered in an episode so far, braking subtracted, as a share of ``e_max``: the sum of torque times change of
+        joint position, which is exact for a torque that is held; ``steps``.
     """
     policy, chain = ATTACKS[name]
     base = PandaEnv(
@@ -144,26 +146,30 @@ def attack(name: str, run: Config, *, seed: int = 0) -> dict[str, float]:
     braking_counts = run.mode in ("paper", "rate", "impact")
     executed = _watched(base)
     generator, most = torch.Generator().manual_seed(seed), torch.zeros(5, dtype=torch.float64)
-    done, td, work, closed = 0, env.reset(), torch.zeros(run.num_envs, dtype=torch.float64), 0
+    done, td, closed = 0, env.reset(), 0
+    work, net = torch.zeros(2, run.num_envs, dtype=torch.float64)
     while done < run.steps:
-        read = {key: td[key] for key in ("pose", "twist", "joint_velocity")}
+        read = {key: td[key] for key in ("pose", "twist", "joint_position", "joint_velocity")}
         if key is not None:
             td[key] = 100.0 * _normal(read, 6 if transforms else 7, generator)
         stepped, td = env.step_and_maybe_reset(td.set("action", policy(read, generator)))
         power = (executed[-1].double() * read["joint_velocity"].double()).sum(-1)
         power = power.abs() if braking_counts else power
         work += 0.01 * power
+        moved = stepped["next", "joint_position"].double() - read["joint_position"].double()
+        net += (executed[-1].double() * moved).sum(-1)
         audit = stepped["next", "audit"]
-        figures = power.max(), work.max(), audit["commanded_power"].max(), audit["commanded_work"].max()
-        most[:4] = torch.maximum(most[:4], torch.stack([figure.double() for figure in figures]))
+        figures = power.max(), work.max(), audit["commanded_power"].max(), audit["commanded_work"].max(), net.max()
+        most = torch.maximum(most, torch.stack([figure.double() for figure in figures]))
         closed += int((stepped["next", "motor_valve"] < 1).sum())
-        work[stepped["next", "done"].squeeze(-1)] = 0.0
+        over = stepped["next", "done"].squeeze(-1)
+        work[over], net[over] = 0.0, 0.0
         done += run.num_envs
     env.close()
     power_share, work_share = float(most[0]) / run.p_max, float(most[1]) / run.e_max
     return {
         "power": power_share, "work": work_share, "closed": closed / done, "true_power": float(most[2]),
-        "true_work": float(most[3]), "steps": done,
+        "true_work": float(most[3]), "net_energy": float(most[4]) / run.e_max, "steps": done,
     }  # fmt: skip
 
 
@@ -188,12 +194,12 @@ def main(run: Config) -> None:
         print(json.dumps(results))
         return
     limits = f"power / {run.p_max} W | work / {run.e_max} J"
-    print(f"| attack | steps | {limits} | valve < 1 | true power [W] | true work [J] |")
-    print("|---|---|---|---|---|---|---|")
+    print(f"| attack | steps | {limits} | valve < 1 | true power [W] | true work [J] | net energy / {run.e_max} J |")
+    print("|---|---|---|---|---|---|---|---|")
     for name, result in results.items():
         print(
             f"| {name} | {result['steps']:,} | {result['power']:.7f} | {result['work']:.7f} | {result['closed']:.2f} | "
-            f"{result['true_power']:.3g} | {result['true_work']:.3g} |"
+            f"{result['true_power']:.3g} | {result['true_work']:.3g} | {result['net_energy']:.3g} |"
         )
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from ppt_rl.functional import EnergyTankStep, impact_tank, parallel_tank, passive_tank, rate_tank
+from ppt_rl.functional import EnergyTankStep, energy_tank, impact_tank, parallel_tank, passive_tank, rate_tank
 from ppt_rl.functional.tank_laws import beside, dissipative_part
 
 
@@ -21,6 +21,7 @@ class LawCase(NamedTuple):
 
 
 LAW_CASES = {
+    "paper": LawCase(energy_tank, lambda damping, inertia: {}),
     "passive": LawCase(passive_tank, lambda damping, inertia: {}),
     "parallel": LawCase(parallel_tank, lambda damping, inertia: {"damping": damping}),
     "rate": LawCase(rate_tank, lambda damping, inertia: {"inertia": inertia}),
@@ -78,6 +79,9 @@ def check_result(
     assert 0 <= exact(out.valve) <= 1
     assert 0 <= exact(out.energy) <= max(exact(e_max), Fraction(0)) * (1 + Fraction(1, 10**7))  # as a rounded number
     assert power <= limit
+    if name == "paper":
+        power = abs(power)
+        assert power <= limit
     delivered = power * step
     if name == "passive":
         terms = [x * y for x, y in zip(fractions(effort), fractions(flow), strict=True)]

@@ -1,4 +1,4 @@
-"""The laws of the tank beyond the paper's, evaluated in exact fractions of the stored numbers."""
+"""The laws of the tank, evaluated in exact fractions of the stored numbers."""
 
 import math
 from fractions import Fraction
@@ -44,6 +44,19 @@ def column(value: float, dtype: torch.dtype) -> Tensor:
 @LAWS
 @given(effort=VECTOR, flow=VECTOR, damping=VECTOR, fullness=FULLNESS, p_max=P_MAX, e_max=E_MAX, dt=DT)
 def test_a_step_keeps_the_invariants_of_its_law_exactly(name, dtype, effort, flow, damping, fullness, p_max, e_max, dt):
+    effort, flow, damping = (torch.tensor(value, dtype=dtype) for value in (effort, flow, damping))
+    energy = column(fullness * e_max, dtype)
+    check_step(name, effort, flow, damping, energy, INERTIA.to(dtype), p_max=p_max, e_max=e_max, dt=dt)
+
+
+@pytest.mark.slow
+@each_law
+@each_dtype
+@settings(LAWS, max_examples=100_000)
+@given(effort=VECTOR, flow=VECTOR, damping=VECTOR, fullness=FULLNESS, p_max=P_MAX, e_max=E_MAX, dt=DT)
+def test_a_hundred_thousand_generated_cases_keep_the_invariants_exactly(
+    name, dtype, effort, flow, damping, fullness, p_max, e_max, dt
+):
     effort, flow, damping = (torch.tensor(value, dtype=dtype) for value in (effort, flow, damping))
     energy = column(fullness * e_max, dtype)
     check_step(name, effort, flow, damping, energy, INERTIA.to(dtype), p_max=p_max, e_max=e_max, dt=dt)
