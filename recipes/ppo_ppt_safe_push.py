@@ -33,13 +33,16 @@ from ppt_rl.transforms import (
 
 @dataclass(frozen=True)
 class Config(EpisodeLevelConfig):
-    """Train PPT on box pushing behind a governor of the reference and tanks that look ahead.
+    """Train PPT on box pushing behind a governor of the reference and a tank at the motors that withstands impacts.
 
     Attributes:
         e_max: capacity of the tank [J]; None takes that of the goal: 1.3 J for a pose, 3 J for a position.
         energy_penalty: reward subtracted for energy from the tank, in training [1/J]; None takes that of the goal: 0.5
             for a pose, 0 for a position.
-        tank_mode: law of the tanks: paper, passive, parallel, rate or impact.
+        tank_mode: law of the tank of the wrench: paper, passive, parallel or rate.
+        motor_mode: law of the tank at the motors: one of those, or impact.
+        motor_margin: power limit of the tank at the motors, as a multiple of ``p_max``: it holds at every moment of a
+            control step, through contact as well, where that of the wrench holds at its beginning.
         f_max: largest force with which the impedance pushes a tool that is held still [N].
         catch_up_speed: speed at which the governed reference catches up once the tool comes free [m/s].
     """
@@ -48,11 +51,14 @@ class Config(EpisodeLevelConfig):
     e_max: ByGoal = None  # type: ignore[assignment]
     energy_penalty: ByGoal = None  # type: ignore[assignment]
     tank_mode: str = "rate"
+    motor_mode: str = "impact"
+    motor_margin: float = 1.25
     f_max: float = 10.0
     catch_up_speed: float = 0.5
 
     bounds: ClassVar[dict[str, Bounds]] = {
         "energy_penalty": Bounds(0.0, 1e6, "1/J"),
+        "motor_margin": Bounds(1e-3, 1e3),
         "f_max": Bounds(1e-3, 1e6, "N"),
         "catch_up_speed": Bounds(1e-6, 100.0, "m/s"),
     }
@@ -67,7 +73,7 @@ def make_chain(config: Config, base: PushEnv, promp: ProMP) -> list[Transform]:
     """PPT's chain with a governor: what stands above the macro step runs at control rate."""
     mode, damping = config.tank_mode, damping_key(config.tank_mode)
     return [
-        motor_tank(config.p_max, config.e_max, mode, base.arm),
+        motor_tank(config.motor_margin * config.p_max, config.e_max, config.motor_mode, base.arm),
         JointTorqueTransform(Kinematics(base.arm, base.tool_length), damping_key=damping),
         EnergyTankTransform(config.p_max, config.e_max, flow_key="twist", **wrench_law(mode, base.arm)),
         EnergyPenaltyTransform(config.energy_penalty),

@@ -214,6 +214,8 @@ def _look_ahead(
     valve = torch.minimum(by_power, by_level) * fits * (1 - ulps)
     valve = torch.threshold(valve.clamp_max(1.0), tiny, 0.0)
     power = valve * (p + valve * (0.5 * gain))
+    payable = (power >= tiny) | (p + gain == 0)  # what is too small to be paid does not pass
+    valve, power = valve * payable, power * payable
     return settled(valve, power, power > 0, energy, e_max=e_max, dt=dt, ulp=2 * ulp)
 
 

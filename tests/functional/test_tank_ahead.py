@@ -93,6 +93,17 @@ def test_an_inertia_that_nothing_has_closes_the_valve(law, inertia):
     assert not out.valve.any()
 
 
+@pytest.mark.parametrize("law", [rate_tank, impact_tank])
+@each_dtype
+def test_an_effort_whose_price_is_too_small_a_number_does_not_pass(law, dtype):
+    effort, flow = torch.tensor([-1.0, 0.0], dtype=dtype), torch.zeros(2, dtype=dtype)
+    level = column(1e-29 if dtype is torch.float32 else 1e-250, dtype)
+    out = law(effort, flow, level, **LIMITS, inertia=torch.ones(2, dtype=dtype))
+    assert not out.valve.any()
+    assert torch.equal(out.energy, level)
+    assert law(0 * effort, flow, column(1.0, dtype), **LIMITS, inertia=torch.ones(2, dtype=dtype)).valve.item() == 1.0
+
+
 # -- impact ------------------------------------------------------------------------------------------------------------
 
 
