@@ -1,6 +1,6 @@
 """Links in docstrings to the entries of the API reference, whatever module an object was defined in.
 
-A docstring names an object where it is defined (``ppt_rl.functional.tank_laws.rate_tank``); its entry stands where
+A docstring names an object where it is defined (``ppt_rl.functional.tank_ahead.rate_tank``); its entry stands where
 users import it from (``ppt_rl.functional.rate_tank``). A link to an object without an entry leads to no page, but the
 object has to exist; otherwise Sphinx warns, and the build fails.
 """
