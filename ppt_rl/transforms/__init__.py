@@ -18,6 +18,7 @@ from ppt_rl.transforms.hold_action import HoldActionTransform
 from ppt_rl.transforms.impedance import ImpedanceTransform
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from ppt_rl.transforms.macro_step import MacroStepTransform
+from ppt_rl.transforms.motion_memory import MotionMemoryTransform
 from ppt_rl.transforms.pd_tracking import PDTrackingTransform
 from ppt_rl.transforms.power_limit import PowerLimitTransform
 from ppt_rl.transforms.promp import ProMPTransform
@@ -41,6 +42,7 @@ __all__ = [
     "ImpedanceTransform",
     "JointTorqueTransform",
     "MacroStepTransform",
+    "MotionMemoryTransform",
     "PDTrackingTransform",
     "PowerLimitTransform",
     "ProMPTransform",

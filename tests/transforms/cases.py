@@ -30,6 +30,7 @@ from ppt_rl.transforms import (
     ImpedanceTransform,
     JointTorqueTransform,
     MacroStepTransform,
+    MotionMemoryTransform,
     PDTrackingTransform,
     PowerLimitTransform,
     ProMPTransform,
@@ -217,6 +218,13 @@ CASES: dict[str, Case] = {
         outer=(3, 7),
         written=("control_steps", ("trace", "joint_velocity")),
         nested=_ACTION,
+    ),
+    "MotionMemoryTransform": Case(
+        lambda **kwargs: MotionMemoryTransform(**{"heading_key": "start_heading", **kwargs}),
+        state=("creep", "course"),
+        written=("heading_creep", "heading_course"),
+        timed=True,
+        nested={"twist_key": ("agent", "twist"), "heading_key": ("agent", "start_heading")},
     ),
     "PDTrackingTransform": Case(
         lambda **kwargs: PDTrackingTransform(20.0, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], continuous=(6,), **kwargs),

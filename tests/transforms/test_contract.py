@@ -27,6 +27,7 @@ OBSERVING = (
     "EnergyPenaltyTransform",
     "EpisodeMetricsTransform",
     "HeadingFrameTransform",
+    "MotionMemoryTransform",
 )
 every_batch = pytest.mark.parametrize("batch", [(), (2,), (2, 1)], ids=str)
 
