@@ -23,10 +23,8 @@ from ppt_rl.tasks.maze import (
     make_maze_promp,
     maze_metrics,
     maze_space,
-    velocity_map,
 )
 from ppt_rl.transforms import (
-    ActionMapTransform,
     ContactViaPointTransform,
     EnergyTankTransform,
     EpisodeMetricsTransform,
@@ -77,7 +75,6 @@ def make_chain(config: Config, base: MazeEnv, promp: ProMP) -> list[Transform]:
             replan_steps=config.replan_steps,
         ),
         ViaPointTransform(promp, frame=("pose", "heading")),
-        *([ActionMapTransform(velocity_map(promp))] if config.decides == "velocity" else []),
     ]
 
 

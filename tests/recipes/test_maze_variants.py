@@ -23,7 +23,7 @@ from ppt_rl.evaluation import (
     shipped_recipes,
 )
 from ppt_rl.evaluation.drawing import draw_policy
-from ppt_rl.recipes import ppo_ppt_maze
+from ppt_rl.recipes import ppo_ppt_maze, ppo_ppt_sharp_maze
 from ppt_rl.tasks.maze import MAZE, fit_maze_prior, make_test_env, make_training_env
 from ppt_rl.training import CheckpointMismatch
 
@@ -36,6 +36,10 @@ CHAINS = {
     "ppt_maze": [
         *CONTROL, "HeadingFrameTransform", "ContactViaPointTransform", "MacroStepTransform", "RecedingProMPTransform",
         "ViaPointTransform",
+    ],
+    "ppt_sharp_maze": [
+        *CONTROL, "HeadingFrameTransform", "MotionMemoryTransform", "ContactViaPointTransform", "MacroStepTransform",
+        "RecedingProMPTransform", "ViaPointTransform", "ActionMapTransform",
     ],
     "st_maze": [*CONTROL, "HeadingFrameTransform", "CartesianVelocityTransform"],
 }  # fmt: skip
@@ -56,7 +60,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Study:
         publish=place / "published", episodes=2, num_envs=2, settings=SETTINGS,
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ppo_ppt_maze, "fit_maze_prior", partial(fit_maze_prior, num_corridors=6))
+        for recipe in (ppo_ppt_maze, ppo_ppt_sharp_maze):
+            patch.setattr(recipe, "fit_maze_prior", partial(fit_maze_prior, num_corridors=6))
         run_study(study)
     return study
 
@@ -80,14 +85,15 @@ def test_the_chain_is_the_list_of_the_recipe_and_only_the_test_hides_more(polici
 
 
 @variants
-def test_training_sees_straight_corridors_only_and_the_test_turns(policies, variant):
-    policy = policies[variant]
+def test_training_sees_straight_corridors_only_but_for_sharp_turns_and_the_test_turns(policies, variant):
+    policy, in_corridors = policies[variant], variant != "ppt_sharp_maze"
     training = make_training_env(policy.config, num_envs=3, seed=1)
     test = policy.make_env(num_envs=3, seed=1)
     for _ in range(5):
         training.reset()
-        assert all(layout.is_straight for layout in training.layouts)
+        assert all(layout.is_straight == in_corridors for layout in training.layouts)
     test.reset()
+    assert not set(map(str, training.layouts)) & set(map(str, test.base_env.layouts))
     assert not any(layout.is_straight for layout in test.base_env.layouts)
     training.close()
     test.close()
@@ -168,7 +174,8 @@ def test_difficulty_is_swept_and_drawn(policies, tmp_path, monkeypatch):
     chosen = [point for point in points if point.quantity in ("turns [degrees]", "width [mm]")][:8]
     few = replace(MAZE.sweep, points=lambda count, seed: chosen)
     task = replace(MAZE, sweep=few)
-    swept = [replace(policy, recipe=replace(policy.recipe, task=task)) for policy in policies.values()]
+    studied = [policy for policy in policies.values() if policy.recipe.in_study]
+    swept = [replace(policy, recipe=replace(policy.recipe, task=task)) for policy in studied]
     run_sweep(swept, episodes=1, seed=5, baselines=["wall follower"], report=tmp_path)
     curves = json.loads((tmp_path / "difficulty.json").read_text())
     assert set(curves["turns [degrees]"]) == {"PPT", "ST", "wall follower"}
@@ -223,12 +230,13 @@ def test_a_policy_does_to_the_right_what_it_does_to_the_left(variant, policies):
 
 
 def test_a_policy_that_decides_a_velocity_has_three_numbers_to_decide_and_the_same_reference():
-    recipe = find_recipe("ppt_maze")
-    here, there = (recipe.config(decides=what, **QUICK) for what in ("weights", "velocity"))
-    modules = recipe.make_modules(here)
+    weights, velocity = (find_recipe(name) for name in ("ppt_maze", "ppt_sharp_maze"))
+    here = velocity.config(**QUICK)
+    there = weights.config(max_lead=here.max_lead, mazes=here.mazes, **QUICK)
+    modules = weights.make_modules(there)
     modules["promp"].weights_mean[:, 0] = 0.05 * modules["promp"].centres
     ends = []
-    for config, size in ((here, 24), (there, 3)):
+    for recipe, config, size in ((weights, there, 24), (velocity, here, 3)):
         env = recipe.make_env(config, modules, num_envs=2, seed=0)
         assert env.full_action_spec["action"].shape == (2, size)
         steps = env.step(env.reset().set("action", torch.zeros(2, size)))

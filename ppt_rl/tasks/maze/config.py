@@ -32,8 +32,6 @@ __all__ = [
 
 #: Where a maze policy trains.
 TrainingGround = Literal["corridors", "mazes"]
-#: What a policy that acts on ProMP weights decides.
-Decision = Literal["weights", "velocity"]
 #: Task-space coordinates in the maze; with a heading they are ahead, left and up.
 MAZE_AXES = ("x", "y", "z")
 #: How far the basis reaches beyond phase 0 and 1, so that it can represent a straight line without ripple; its overlap.
@@ -108,8 +106,6 @@ class RecedingConfig(MazeConfig):
     """Options of the maze recipes whose policy acts on ProMP weights.
 
     Attributes:
-        decides: what the policy adds: a residual to each of the weights, or a velocity, which moves all weights in
-            proportion to their time; the residuals below are then those of a weight at the end of the primitive.
         num_basis: number of basis functions of the ProMP for each of x, y and z.
         promp_duration: duration of the primitive [s].
         replan_steps: control steps from one policy step to the next.
@@ -123,7 +119,6 @@ class RecedingConfig(MazeConfig):
         batch_steps: policy steps of every environment in a batch.
     """
 
-    decides: Decision = "weights"
     num_basis: int = 8
     promp_duration: float = 0.8
     replan_steps: int = 15
@@ -144,12 +139,6 @@ class RecedingConfig(MazeConfig):
         "residual_up": Bounds(0.0, 10.0, "m"),
         "max_slip": Bounds(0.0, 10.0, "m/s"),
     }
-
-    def __post_init__(self) -> None:
-        """Refuse an unknown decision and numbers out of bounds."""
-        if self.decides not in get_args(Decision):
-            raise ValueError(f"decides is {shown(self.decides)}; expected one of {list(get_args(Decision))}.")
-        super().__post_init__()
 
     @property
     def residual_scale(self) -> tuple[float, float, float]:

@@ -22,7 +22,7 @@ MAZE_PRIVILEGED = ("corridor_offset", "corridor_heading")
 
 
 def make_maze_policy(
-    env: TransformedEnv, *, initial_scale: float, extra_keys: Sequence[str] = ()
+    env: TransformedEnv, *, initial_scale: float, extra_keys: Sequence[str] = (), vector_keys: Sequence[str] = ()
 ) -> tuple[nn.Module, nn.Module]:
     """Actor on proprioception and touch, with mirror symmetry; the critic also reads where in the corridor the tool is.
 
@@ -30,15 +30,17 @@ def make_maze_policy(
         env: environment with the recipe's chain.
         initial_scale: standard deviation of the untrained policy [action units].
         extra_keys: further observations, which the recipe's transforms add; they must not change under reflection.
+        vector_keys: further observations of two numbers, ahead and to the left.
 
     Returns:
         Actor and critic.
     """
-    keys = [*_KNOWN, *extra_keys]
+    keys = [*_KNOWN, *vector_keys, *extra_keys]
     same = sum(env.observation_spec[key].shape[-1] for key in extra_keys)
     per_axis = env.full_action_spec["action"].shape[-1] // len(MAZE_AXES)  # numbers of the action, axis by axis
     mirror = Mirror(
-        (*_MIRRORED_TWIST * len(_KNOWN), *(1.0,) * same), [sign for sign in _MIRRORED_AXES for _ in range(per_axis)]
+        (*_MIRRORED_TWIST * len(_KNOWN), *(1.0, -1.0) * len(vector_keys), *(1.0,) * same),
+        [sign for sign in _MIRRORED_AXES for _ in range(per_axis)],
     )
     return make_actor_critic(
         env, keys, [*keys, "heading", *MAZE_PRIVILEGED], initial_scale=initial_scale, mirror=mirror

@@ -109,11 +109,6 @@ def test_a_policy_that_decides_a_velocity_adds_it_to_that_of_the_primitive(axis:
     assert (velocity * promp.duration - along).abs().max() < 0.1
 
 
-def test_an_unknown_decision_is_refused():
-    with pytest.raises(ValueError, match=r"decides is 'both'; expected one of \['weights', 'velocity'\]"):
-        replace(CONFIG, decides="both")
-
-
 def test_an_unknown_training_ground_is_refused():
     with pytest.raises(ValueError, match=r"train_in is 'both'; expected one of \['corridors', 'mazes'\]"):
         replace(CONFIG, train_in="both")
