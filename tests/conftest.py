@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
 import torch
 
-from ppt_rl.envs import EngineConfig  # before any test imports MuJoCo: it chooses the backend of rendering
+import ppt_rl.envs  # noqa: F401  before any test imports MuJoCo: it chooses the backend of rendering
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
@@ -37,4 +38,4 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     name = config.getoption("--engine")
     if name is not None:
-        EngineConfig.on = lambda self, device: name if self.name == "auto" else self.name  # type: ignore[method-assign]
+        os.environ["PPT_RL_ENGINE"] = name  # worker processes inherit it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -14,8 +15,9 @@ from ppt_rl.functional.checks import require_positive
 __all__ = ["EngineConfig", "EngineName"]
 
 #: ``threads`` is MuJoCo on CPU threads, ``warp`` MuJoCo Warp on a device; ``auto`` is ``warp`` on a GPU and ``threads``
-#: elsewhere.
+#: elsewhere, unless the environment variable ``PPT_RL_ENGINE`` names one; worker processes inherit it.
 EngineName = Literal["auto", "threads", "warp"]
+_VARIABLE = "PPT_RL_ENGINE"
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,13 @@ class EngineConfig:
 
         Returns:
             Its name.
+
+        Raises:
+            ValueError: if the environment variable ``PPT_RL_ENGINE`` names no engine.
         """
-        if self.name == "auto":
+        name = os.environ.get(_VARIABLE, "auto") if self.name == "auto" else self.name
+        if name not in get_args(EngineName):
+            raise ValueError(f"{_VARIABLE} is {shown(name)}; expected one of {list(get_args(EngineName))}.")
+        if name == "auto":
             return "warp" if device.type == "cuda" else "threads"
-        return self.name
+        return name  # type: ignore[return-value]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
 from ppt_rl.envs import ArmEnv, EngineConfig
 
@@ -25,3 +26,16 @@ def test_an_environment_steps_its_physics_as_the_options_say():
     assert (env.substeps, env.engine.num_threads, env.engine.models[0].opt.timestep) == (2, 1, 0.005)
     assert "audit" in env.reset().keys()
     assert "audit" not in ArmEnv(2, seed=0).reset().keys()
+
+
+def test_the_environment_variable_chooses_the_engine_where_no_option_does(monkeypatch):
+    cpu = torch.device("cpu")
+    assert EngineConfig().on(cpu) == "threads"
+    monkeypatch.setenv("PPT_RL_ENGINE", "warp")
+    assert EngineConfig().on(cpu) == "warp"
+    assert EngineConfig(name="threads").on(cpu) == "threads"
+    monkeypatch.setenv("PPT_RL_ENGINE", "auto")
+    assert EngineConfig().on(cpu) == "threads"
+    monkeypatch.setenv("PPT_RL_ENGINE", "wrap")
+    with pytest.raises(ValueError, match=r"PPT_RL_ENGINE is 'wrap'; expected one of \['auto', 'threads', 'warp'\]"):
+        EngineConfig().on(cpu)
