@@ -1,4 +1,4 @@
-"""PPT on box pushing with the layers that we recommend against collisions: a governed reference, tanks that look ahead.
+"""PPT on box pushing with the layers that we recommend against collisions: a governed reference, a tank for impacts.
 
 Train with defaults, or look at the options: ``python recipes/ppo_ppt_safe_push.py --help``.
 """
