@@ -51,14 +51,15 @@ def _ppo() -> PPOConfig:
 
 def _rewards() -> MazeRewards:
     """Progress counts most: a tool that is stuck has to try something."""
-    return MazeRewards(progress=15.0, success=10.0, free_space=1.0, cruise=0.1, contact=0.6, jolt=0.3, failure=10.0)
+    return MazeRewards(progress=15.0, success=10.0, free_space=3.0, cruise=0.085, contact=0.6, jolt=0.6, failure=10.0)
 
 
 @dataclass(frozen=True)
 class Config(RecedingConfig):
     """Train PPT (ProMP + PPO + energy tank) for mazes of sharp turns and high friction.
 
-    The residuals are those of a weight at the end of the primitive: divided by its duration, a velocity.
+    The residuals are those of a weight at the end of the primitive: divided by its duration, a velocity. The policy does not
+    decide on the height, since a tool that floats feels no friction.
     """
 
     run_dir: Path = Path("runs/ppt_sharp_maze")
@@ -69,7 +70,7 @@ class Config(RecedingConfig):
     follower_lead: float = 0.008
     residual_ahead: float = 0.04
     residual_left: float = 0.12
-    residual_up: float = 0.01
+    residual_up: float = 0.0
     max_lead: float = 0.01
     initial_scale: float = 0.3
     batch_steps: int = 60

@@ -42,7 +42,8 @@ class ProMPTransform(TimedTransform, ActionTransform):
     Args:
         promp: the movement primitive.
         task_space: meaning of its D coordinates.
-        residual_scale: one number, or D of them: how far a residual of 1 moves a weight [unit of each coordinate].
+        residual_scale: one number, or D of them: how far a residual of 1 moves a weight [unit of each coordinate]. With
+            0, a policy leaves a coordinate to the reference.
         replan_steps: control steps from one policy step to the next. None is the paper's "episode-level": one policy
             step for the whole duration; 1 is its "each timestep". Each hand-over bends the reference locally, so steps
             much shorter than the duration divided by K make it lag.
@@ -79,8 +80,10 @@ class ProMPTransform(TimedTransform, ActionTransform):
                 f"{task_space.axes}; expected equal numbers."
             )
         scale = require_numbers("residual_scale", residual_scale, (1, promp.num_dof))
-        if not bool((scale > 0).all()):
-            raise ValueError(f"residual_scale is {residual_scale}; expected 1 or {promp.num_dof} positive numbers.")
+        if not bool((scale >= 0).all() & (scale > 0).any()):
+            raise ValueError(
+                f"residual_scale is {residual_scale}; expected 1 or {promp.num_dof} numbers of at least 0, not all 0."
+            )
         self.promp = promp
         self.task_space = task_space
         self.pose_key = pose_key
