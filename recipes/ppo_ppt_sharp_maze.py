@@ -58,8 +58,8 @@ def _rewards() -> MazeRewards:
 class Config(RecedingConfig):
     """Train PPT (ProMP + PPO + energy tank) for mazes of sharp turns and high friction.
 
-    The residuals are those of a weight at the end of the primitive: divided by its duration, a velocity. The policy does not
-    decide on the height, since a tool that floats feels no friction.
+    The residuals are those of a weight at the end of the primitive: divided by its duration, a velocity. The policy
+    does not decide on the height, since a tool that floats feels no friction.
     """
 
     run_dir: Path = Path("runs/ppt_sharp_maze")

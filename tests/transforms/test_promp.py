@@ -158,10 +158,25 @@ def test_a_control_step_that_does_not_divide_the_duration_is_refused(dt):
         make_promp_transform(dt=dt, replan_steps=None)
 
 
-@pytest.mark.parametrize("scale", [0.0, -1.0, (0.1, 0.2), (0.1, 0.2, 0.0), (0.1,) * 4])
+@pytest.mark.parametrize("scale", [0.0, -1.0, (0.1, 0.2), (0.1, 0.2, -0.1), (0.0,) * 3, (0.1,) * 4])
 def test_a_residual_scale_that_does_not_fit_is_refused(scale):
     with pytest.raises(ValueError, match="residual_scale"):
         make_promp_transform(residual_scale=scale)
+
+
+def test_a_coordinate_without_a_residual_is_left_to_the_reference():
+    promp = make_promp()
+    transform = make_promp_transform(residual_scale=(0.1, 0.0, 0.2))
+    assert transform.residual_scale.tolist() == pytest.approx([0.1, 0.0, 0.2])
+    env = make_env(promp, None, residual_scale=(0.1, 0.0, 0.2))
+    root = env.reset()
+    size = env.full_action_spec["action"].shape[-1]
+    still, moved = (
+        env.step(root.clone().set("action", torch.full((*env.batch_size, size), value)))["next"] for value in (0.0, 1.0)
+    )
+    difference = (moved["weights"] - still["weights"]).abs().flatten(0, -2).amax(0)
+    assert difference[1] == 0
+    assert (difference[[0, 2]] > 0.05).all()
 
 
 def test_a_primitive_with_other_degrees_of_freedom_than_the_task_space_is_refused():
