@@ -147,7 +147,7 @@ def impact_tank(
     if stored is not None:
         require_last_dim("stored", stored, 1)
         require_same_batch(flow=flow, stored=stored)
-    contact = 0.0 if stored is None else stored
+    contact = torch.zeros_like(energy) if stored is None else stored
     return _look_ahead(effort, flow, energy, inertia, p_max=p_max, e_max=e_max, dt=dt, eps=eps, contact=contact)
 
 
@@ -194,7 +194,7 @@ def _look_ahead(
     e_max: float | Tensor,
     dt: float,
     eps: float,
-    contact: float | Tensor | None = None,
+    contact: Tensor | None = None,
 ) -> EnergyTankStep:
     """Both laws. Without ``contact`` [J] it bounds the power of the velocity, with it the largest of any direction."""
     ulp = coarsest(effort.dtype, flow.dtype, energy.dtype)
@@ -244,10 +244,9 @@ def _rise(effort: Tensor, inertia: Tensor, ulp: float) -> Tensor:
     return (column * solved).sum(-2).to(effort.dtype) * share
 
 
-def _largest_power(rise: Tensor, flow: Tensor, inertia: Tensor, contact: float | Tensor, ulp: float) -> Tensor:
+def _largest_power(rise: Tensor, flow: Tensor, inertia: Tensor, contact: Tensor, ulp: float) -> Tensor:
     """``s k`` ``(*B, 1)`` [W], rounded up: the power if the effort drove the motion as well as it can."""
-    kinetic = _kinetic_energy(flow, inertia)
-    energy = torch.maximum(kinetic, contact) if isinstance(contact, Tensor) else kinetic
+    energy = torch.maximum(_kinetic_energy(flow, inertia), contact)
     return rise.clamp_min(0.0).sqrt() * (2 * energy).sqrt() * (1 + 0.5 * (flow.shape[-1] + 12) * ulp)
 
 
