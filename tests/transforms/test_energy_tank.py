@@ -84,7 +84,7 @@ def test_other_than_two_keys_to_write_are_refused(keys):
 
 
 def test_an_unknown_mode_is_refused_with_the_names_of_the_laws(monkeypatch):
-    with pytest.raises(ValueError, match=r"mode is 'half'; expected one of \['paper', 'passive', 'parallel', 'rate'\]"):
+    with pytest.raises(ValueError, match=r"mode is 'half'; expected one of \['paper', 'passive', 'parallel', 'rate', 'impact'\]"):
         EnergyTankTransform(mode="half")
     monkeypatch.setitem(TANK_LAWS, "half", half)
     with pytest.raises(
