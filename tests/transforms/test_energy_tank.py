@@ -84,11 +84,14 @@ def test_other_than_two_keys_to_write_are_refused(keys):
 
 
 def test_an_unknown_mode_is_refused_with_the_names_of_the_laws(monkeypatch):
-    with pytest.raises(ValueError, match=r"mode is 'half'; expected one of \['paper', 'passive', 'parallel', 'rate', 'impact'\]"):
+    with pytest.raises(
+        ValueError, match=r"mode is 'half'; expected one of \['paper', 'passive', 'parallel', 'rate', 'impact'\]"
+    ):
         EnergyTankTransform(mode="half")
     monkeypatch.setitem(TANK_LAWS, "half", half)
     with pytest.raises(
-        ValueError, match=r"mode is 'third'; expected one of \['paper', 'passive', 'parallel', 'rate', 'half'\]"
+        ValueError,
+        match=r"mode is 'third'; expected one of \['paper', 'passive', 'parallel', 'rate', 'impact', 'half'\]",
     ):
         EnergyTankTransform(mode="third")
 
