@@ -92,9 +92,9 @@ def impact_tank(
     r"""A law for impacts: it bounds the power of an effort whatever passive contact does to the velocity in the step.
 
     An impact turns a velocity round within milliseconds, and an effort that braked then drives. But contact with what
-    is at rest and passive adds no kinetic energy, and neither do Coriolis and centrifugal forces. In the norm of the
-    inertia, ``|v|_M = sqrt(v^T M v)``, the speed grows by the effort alone, and no effort has more power than the
-    product of the norms (Cauchy-Schwarz). While ``valve * effort`` is held, its power after a time t is at most
+    is at rest and holds no energy adds no kinetic energy, and neither do Coriolis and centrifugal forces. In the norm
+    of the inertia, ``|v|_M = sqrt(v^T M v)``, the speed grows by the effort alone, and no effort has more power than
+    the product of the norms (Cauchy-Schwarz). While ``valve * effort`` is held, its power after a time t is at most
 
     .. math:: \gamma\, s\, (k + \gamma\, s\, t), \qquad
         s = \sqrt{\mathrm{effort}^\top M^{-1} \mathrm{effort}}, \quad
@@ -116,12 +116,14 @@ def impact_tank(
     * ``|(valve effort) . v| <= p_max`` for every velocity v with ``|v|_M <= k + valve s dt``, so at every moment of the
       step, whether contact stops, deflects or reverses the motion; the bounds of ``rate`` and of the paper's law on the
       power are special cases;
-    * over an episode, the sum of the integrals of the power over the steps is at most ``E_0`` where nothing is hit; a
-      step in which something is hit does at most ``p_max dt`` instead of what it has paid.
+    * over an episode, the sum of the integrals of the power over the steps is at most ``E_0`` where nothing but the
+      effort changes the velocity; a step in which contact or a Coriolis force does may work up to ``p_max dt``,
+      whatever it has paid.
 
     With a matrix, the same holds up to the rounding of a solution in double precision. M is the inertia itself here,
     not only a lower bound: where the true one is between M and ``c M``, the bound is ``sqrt(c) p_max``. Energy from
-    elsewhere, such as a body that runs into the robot, is beyond the law.
+    elsewhere is beyond the law: a body that runs into the robot, gravity that is not compensated, and a spring that the
+    robot has loaded slowly and that lets go.
 
     Args:
         effort: ``(*B, N)`` nominal effort: wrench [N, N m] or joint torque [N m].
@@ -152,14 +154,14 @@ def impact_tank(
 
 
 def recent_motion(flow: Tensor, inertia: Tensor, before: Tensor | None, *, dt: float) -> Tensor:
-    r"""Kinetic energy of the recent motion: the most that passive contact may hold, and give back.
+    r"""Kinetic energy of the recent motion, which contact may have taken and may give back.
 
     .. math:: E_s' = \max\big(\tfrac12 \mathrm{flow}^\top M\, \mathrm{flow},\ e^{-\Delta t / T} E_s\big), \qquad
         T = 0.1\ \mathrm{s}
 
     A spring that stops the robot has its kinetic energy a few milliseconds later, when nothing moves. Where contact
-    gives it back after a time t, the speed that :func:`impact_tank` counts with is too low by ``exp(-t / 2T)``, 10 %
-    after 20 ms.
+    gives it back after a time t, the speed that :func:`impact_tank` counts with is too low by the factor
+    ``exp(-t / 2T)``, 10 % after 20 ms. What an effort puts into a spring slowly is not counted.
 
     Args:
         flow: ``(*B, N)`` velocity [m/s, rad/s].
