@@ -78,13 +78,16 @@ TANK_LAWS: dict[str, TankLaw] = {
 }
 
 
-def law_reads(law: Callable[..., Any]) -> frozenset[str]:
+def law_reads(law: Callable[..., Any], *, needed: bool = False) -> frozenset[str]:
     """What a law reads besides effort, flow, level and limits, as its signature says.
 
     Args:
         law: the law.
+        needed: leave out what has a default.
 
     Returns:
         Those of ``"damping"``, ``"inertia"`` and ``"stored"`` that are among its arguments.
     """
-    return frozenset({"damping", "inertia", "stored"} & set(inspect.signature(law).parameters))
+    arguments = inspect.signature(law).parameters
+    known = {"damping", "inertia", "stored"} & set(arguments)
+    return frozenset(name for name in known if not needed or arguments[name].default is inspect.Parameter.empty)

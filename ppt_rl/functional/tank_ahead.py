@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ppt_rl.functional.checks import require_last_dim
 from ppt_rl.functional.shape_checks import require_same_batch
+from ppt_rl.functional.tank_inertia import accelerating_power, kinetic_energy, require_inertia_of, root
 from ppt_rl.functional.tank_step import EnergyTankStep, budgets, coarsest, settled, upper_power
 
 __all__ = ["impact_tank", "rate_tank", "recent_motion"]
@@ -178,8 +179,8 @@ def recent_motion(flow: Tensor, inertia: Tensor, before: Tensor | None, *, dt: f
     Source:
         Ours.
     """
-    _require_inertia(flow, inertia)
-    kinetic = _kinetic_energy(flow, inertia)
+    require_inertia_of(flow, inertia)
+    kinetic = kinetic_energy(flow, inertia)
     if before is not None:
         require_last_dim("before", before, 1)
         require_same_batch(flow=flow, before=before)
@@ -200,10 +201,10 @@ def _look_ahead(
 ) -> EnergyTankStep:
     """Both laws. Without ``contact`` [J] it bounds the power of the velocity, with it the largest of any direction."""
     ulp = coarsest(effort.dtype, flow.dtype, energy.dtype)
-    _require_inertia(effort, inertia)
+    require_inertia_of(effort, inertia)
     energy, p_max, e_max = budgets(energy, p_max, e_max)
     p, fits = upper_power(effort, flow, energy, ulp)
-    rise = _rise(effort, inertia, ulp)  # s^2 [W/s]
+    rise = accelerating_power(effort, inertia, ulp)  # s^2 [W/s]
     bounded = p if contact is None else _largest_power(rise, flow, inertia, contact, ulp)
     gain = rise * (dt * (1 + 2 * ulp))  # s^2 dt [W]
     usual = gain.isfinite() & (gain >= 0) & bounded.isfinite()
@@ -211,8 +212,8 @@ def _look_ahead(
     gain, bounded = torch.where(fits, gain, 0.0), torch.where(fits, bounded, 0.0)
     tiny, ulps = torch.finfo(energy.dtype).tiny, 8 * ulp
     usable = torch.threshold(energy, tiny / ulps, 0.0)  # [J]
-    by_power = _root(bounded, gain, p_max, eps)
-    by_level = _root(p, 0.5 * gain, (usable / dt).clamp_max(p_max), eps)
+    by_power = root(bounded, gain, p_max, eps)
+    by_level = root(p, 0.5 * gain, (usable / dt).clamp_max(p_max), eps)
     valve = torch.minimum(by_power, by_level) * fits * (1 - ulps)
     valve = torch.threshold(valve.clamp_max(1.0), tiny, 0.0)
     power = valve * (p + valve * (0.5 * gain))
@@ -221,41 +222,7 @@ def _look_ahead(
     return settled(valve, power, power > 0, energy, e_max=e_max, dt=dt, ulp=2 * ulp)
 
 
-def _require_inertia(effort: Tensor, inertia: Tensor) -> None:
-    size = effort.shape[-1]
-    if inertia.shape != (size,) and inertia.shape[-2:] != (size, size):
-        raise ValueError(
-            f"inertia has shape {tuple(inertia.shape)}; expected ({size},) by axis, or a matrix ({size}, {size}) for "
-            f"the effort {tuple(effort.shape)}."
-        )
-
-
-def _root(b: Tensor, c: Tensor, limit: float | Tensor, eps: float) -> Tensor:
-    """The positive root of ``g b + g^2 c = limit`` ``(*B, 1)`` [-], in a form in which nothing cancels."""
-    return 2 * limit / (b + (b * b + 4 * limit * c).sqrt()).clamp_min(2 * eps)
-
-
-def _rise(effort: Tensor, inertia: Tensor, ulp: float) -> Tensor:
-    """``effort . M^-1 effort`` ``(*B, 1)`` [W/s], rounded up: how fast an effort raises its own power."""
-    size = effort.shape[-1]
-    share = 1 + 0.5 * (size + 6) * ulp
-    if inertia.shape == (size,):
-        return (effort * effort / inertia).sum(-1, keepdim=True) * share
-    column = effort.to(torch.float64).unsqueeze(-1)
-    solved = torch.linalg.solve(inertia.to(torch.float64), column)
-    return (column * solved).sum(-2).to(effort.dtype) * share
-
-
 def _largest_power(rise: Tensor, flow: Tensor, inertia: Tensor, contact: Tensor, ulp: float) -> Tensor:
     """``s k`` ``(*B, 1)`` [W], rounded up: the power if the effort drove the motion as well as it can."""
-    energy = torch.maximum(_kinetic_energy(flow, inertia), contact)
+    energy = torch.maximum(kinetic_energy(flow, inertia), contact)
     return rise.clamp_min(0.0).sqrt() * (2 * energy).sqrt() * (1 + 0.5 * (flow.shape[-1] + 12) * ulp)
-
-
-def _kinetic_energy(flow: Tensor, inertia: Tensor) -> Tensor:
-    """``flow . M flow / 2`` ``(*B, 1)`` [J]."""
-    if inertia.shape == flow.shape[-1:]:
-        return (0.5 * flow * flow * inertia).sum(-1, keepdim=True).clamp_min(0.0)
-    column = flow.to(torch.float64).unsqueeze(-1)
-    moved = inertia.to(torch.float64) @ column
-    return (0.5 * column * moved).sum(-2).clamp_min(0.0).to(flow.dtype)

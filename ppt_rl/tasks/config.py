@@ -31,6 +31,8 @@ __all__ = [
 _MAX_SUBSTEPS, _MAX_STEPS, _MAX_TOTAL = 1000, 60_000, 20_000_000
 #: Law of the tank that meters the wrench, where it is another one than at the motors.
 _WRENCH_LAWS = {"impact": "rate"}
+#: Laws that bound net energy, which the motors' tank settles by what the torque has delivered.
+_NET_LAWS = ("passive", "parallel")
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,8 @@ def motor_tank(
     """The tank that stands first in a chain and bounds the torque that the motors execute, posture torque included.
 
     Its keys are ``motor_tank_energy`` and ``motor_valve``, so that a chain may also have the paper's tank, which bounds
-    the wrench of the task and which the policy observes.
+    the wrench of the task and which the policy observes. With the laws of net energy, ``"passive"`` and ``"parallel"``,
+    the level is settled after each step by what the torque has delivered.
 
     Args:
         p_max: power limit [W].
@@ -153,7 +156,10 @@ def motor_tank(
     """
     read = tank_law(mode, None if arm is None else Kinematics(arm, tool_length=0.0))
     keys = ("motor_tank_energy", "motor_valve")
-    return EnergyTankTransform(p_max, e_max, flow_key="joint_velocity", out_keys=keys, e_max_key=e_max_key, **read)
+    position_key = "joint_position" if mode in _NET_LAWS else None
+    return EnergyTankTransform(
+        p_max, e_max, flow_key="joint_velocity", out_keys=keys, e_max_key=e_max_key, position_key=position_key, **read
+    )
 
 
 def tank_law(mode: str, inertia: Sequence[float] | Kinematics | None) -> dict[str, Any]:

@@ -212,9 +212,14 @@ class StatefulTransform(Transform):
         if self.parent is not None:
             tensordict.set(_private(key), value)
 
+    @staticmethod
+    def _stashed(tensordict: TensorDictBase, key: NestedKey) -> Tensor:
+        """A value that ``_inv_call`` kept."""
+        return tensordict.get(_private(key))
+
     def _unstash(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase, key: NestedKey) -> None:
         """Write a kept value under next; environments that do not step keep the old one."""
-        rows, value = self._stepping(tensordict), tensordict.get(_private(key))
+        rows, value = self._stepping(tensordict), self._stashed(tensordict, key)
         next_tensordict.set(key, value if rows is None else merged(rows, value, self._known(tensordict, key)))
 
     def _zeros(self, specs: dict[NestedKey, TensorSpec], like: TensorDictBase) -> Entries:

@@ -10,7 +10,7 @@ from tensordict.utils import NestedKey, unravel_key_list
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
-from ppt_rl.functional.checks import is_readable, require_positive
+from ppt_rl.functional.checks import require_positive
 from ppt_rl.functional.energy_tank import TANK_LAWS, law_reads
 from ppt_rl.functional.limits import EffortBounds, scale_into
 from ppt_rl.functional.tank_ahead import recent_motion
@@ -21,14 +21,8 @@ from ppt_rl.transforms.flow import flow_of_size, same_shape
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.step_limits import StepLimitsTransform
-from ppt_rl.transforms.tank_inputs import (
-    held_key,
-    passing_part,
-    require_inertia,
-    require_keys,
-    require_level,
-    require_read,
-)
+from ppt_rl.transforms.tank_account import TankAccountTransform
+from ppt_rl.transforms.tank_inputs import beside_key, passing_part, require_inertia, require_keys, require_read
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["EnergyTankTransform"]
@@ -39,7 +33,7 @@ _FLOWS = ("twist", "joint_velocity")
 _BOUNDS = "_bounds_of_effort"
 
 
-class EnergyTankTransform(TimedTransform, StepLimitsTransform):
+class EnergyTankTransform(TimedTransform, StepLimitsTransform, TankAccountTransform):
     r"""Scales an effort action so that its power and its total work stay within a budget.
 
     .. math::
@@ -54,8 +48,8 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
     * ``"passive"`` (:func:`~ppt_rl.functional.tank_laws.passive_tank`): braking passes and refills the tank. The bounds
       are those of ``effort . flow`` with its sign: net energy, and no limit on the power of braking.
     * ``"parallel"`` (:func:`~ppt_rl.functional.tank_laws.parallel_tank`): damping passes beside the valve, as long as
-      it brakes. An :class:`ImpedanceTransform` with the same ``damping_key`` writes it, and a
-      :class:`JointTorqueTransform` in between carries it to joint space.
+      it brakes; ``inertia`` looks ahead here too. An :class:`ImpedanceTransform` with the same ``damping_key`` writes
+      it, and a :class:`JointTorqueTransform` in between carries it to joint space.
     * ``"rate"`` (:func:`~ppt_rl.functional.tank_ahead.rate_tank`): the power counts at every moment of the control step
       over which the effort is held, with the velocity that the effort itself adds, by ``inertia``.
     * ``"impact"`` (:func:`~ppt_rl.functional.tank_ahead.impact_tank`): the same, whatever passive contact does to the
@@ -92,7 +86,8 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
         mode: name of the law; ``"paper"`` charges braking like pushing and never refills.
         inertia: what the effort accelerates, for a law that reads it: a number for each axis or a matrix, a lower bound
             of the true one [kg, kg m^2]; or, for joint torque, the arm's kinematics, which compute its matrix from
-            ``joint_position`` at every step (without its tool, so it is a lower bound too).
+            ``joint_position`` at every step (without its tool, so it is a lower bound too). ``"rate"`` and ``"impact"``
+            need it, ``"passive"`` and ``"parallel"`` are passive in the closed loop only with it.
         effort_key: the action: a wrench [N, N m] or joint torque [N m].
         flow_key: the observed velocity that it works on; None takes ``twist`` or ``joint_velocity``, whichever has the
             action's size. Where both have it, as with an arm of six joints, say which.
@@ -100,6 +95,9 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
         damping_key: the damping part of the action, for a law that reads it.
         p_max_key: power limit of the step ``(*B, 1)`` [W]; None takes ``p_max`` always.
         e_max_key: capacity from the step on ``(*B, 1)`` [J]; None takes ``e_max`` always.
+        position_key: the position whose rate ``flow_key`` is, such as ``joint_position``. With it, what the held effort
+            really delivered is settled after each step (:class:`~ppt_rl.transforms.tank_account.TankAccountTransform`),
+            with a debt ``tank_energy_debt`` ``(*B, 1)`` [J] as a further state. None takes the law's price.
         out_keys: where the level and the valve are written. A second tank in the same chain needs others.
 
     Raises:
@@ -138,6 +136,7 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
         damping_key: NestedKey | None = None,
         p_max_key: NestedKey | None = None,
         e_max_key: NestedKey | None = None,
+        position_key: NestedKey | None = None,
     ) -> None:
         super().__init__(effort_key)
         require_keys(out_keys, p_max_key, e_max_key)
@@ -158,12 +157,14 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
         self.flow_key, self.damping_key, self.p_max_key, self.e_max_key = flow_key, damping_key, p_max_key, e_max_key
         self.out_keys = list(out_keys)
         self.energy_key, self.valve_key = out_keys
-        self.held_key = held_key(self.energy_key) if "stored" in law_reads(self.law) else None
+        self.position_key = position_key
+        self.held_key = beside_key(self.energy_key, "held") if "stored" in law_reads(self.law) else None
 
     @property
     def _readings(self) -> tuple[NestedKey, ...]:
         flows = _FLOWS if self.flow_key is None else (self.flow_key,)
-        return flows if self.kinematics is None else (*flows, "joint_position")
+        positions = {"joint_position": self.kinematics is not None, self.position_key: self.position_key is not None}
+        return (*flows, *(key for key, is_read in positions.items() if is_read))
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (effort,) = self._require(tensordict, self.action_key)
@@ -186,10 +187,13 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
             self._stash(tensordict, self.held_key, read["stored"])
         if self.damping_key is not None:
             (damping,) = self._require(tensordict, self.damping_key)
-            read["damping"] = passing_part(self.damping_key, damping, effort, flow, bounds, factor)
+            read["damping"] = passing_part(
+                self.damping_key, damping, effort, flow, bounds, factor, inertia=read.get("inertia"), dt=self.dt
+            )
         step = self.law(effort, flow, energy, p_max=p_max, e_max=e_max, dt=self.dt, eps=self.eps, **read)
         executed = beside(step.valve, effort, read["damping"]) if "damping" in read else step.valve * effort
         tensordict.set(self.action_key, executed)
+        self._hold(tensordict, executed)
         self._stash(tensordict, self.energy_key, step.energy)
         self._stash(tensordict, self.valve_key, step.valve if factor is None else step.valve * factor)
         return tensordict
@@ -201,25 +205,6 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
         flows = {key: self._known(tensordict, key) for key in _FLOWS}
         key, flow = flow_of_size(flows, self.action_key, effort.shape[-1], tensordict)
         return same_shape(key, flow, self.action_key, effort)
-
-    # -- level --------------------------------------------------------------------------------------------------------
-
-    def _level(self, tensordict: TensorDictBase, effort: Tensor) -> Tensor:
-        """The level at the beginning of the step ``(*B, 1)`` [J]; without an environment, a missing one is full."""
-        given = tensordict.get(self.energy_key, None)
-        if given is None:
-            if self.parent is None:
-                return torch.full_like(effort[..., :1], self.e_max)
-            raise KeyError(
-                f"EnergyTankTransform finds no level {self.energy_key!r} in the tensordict; expected the one that "
-                "reset or the last step returned. Step from their tensordict, and select this entry too."
-            )
-        own = self._remembered(tensordict, self.energy_key)
-        if own is not None and is_readable(own) and torch.equal(given, own):
-            return own
-        shape = (*effort.shape[:-1], 1)
-        require_level(self.energy_key, given, own, self.e_max, shape, self._stepping(tensordict))
-        return given if own is None else torch.minimum(given, own)
 
     # -- bounds -------------------------------------------------------------------------------------------------------
 
@@ -238,7 +223,9 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
 
     def _after_step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in self._first():
-            self._unstash(tensordict, next_tensordict, key)
+            if key != self.debt_key:
+                self._unstash(tensordict, next_tensordict, key)
+        self._settle(tensordict, next_tensordict)
         return next_tensordict
 
     def _after_reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
@@ -249,8 +236,8 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
 
     def _first(self) -> dict[NestedKey, float]:
         """The state at the start of an episode."""
-        held = {} if self.held_key is None else {self.held_key: 0.0}
-        return {self.energy_key: self.e_max, self.valve_key: 1.0, **self._held(), **held}
+        further = {key: 0.0 for key in (self.held_key, self.debt_key) if key is not None}
+        return {self.energy_key: self.e_max, self.valve_key: 1.0, **self._held(), **further}
 
     # -- specs --------------------------------------------------------------------------------------------------------
 
@@ -296,5 +283,5 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform):
             return Bounded(0.0, high, shape=(*like.shape[:-1], 1), dtype=like.dtype, device=like.device)
 
         limits = {key: column(most) for key, most in self._held().items()}
-        held = {} if self.held_key is None else {self.held_key: real(like, *like.shape[:-1], 1)}
-        return {self.energy_key: column(self.e_max), self.valve_key: column(1.0), **limits, **held}
+        further = {key: real(like, *like.shape[:-1], 1) for key in (self.held_key, self.debt_key) if key is not None}
+        return {self.energy_key: column(self.e_max), self.valve_key: column(1.0), **limits, **further}

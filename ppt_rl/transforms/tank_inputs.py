@@ -16,7 +16,7 @@ from ppt_rl.functional.limits import EffortBounds, scale_into
 from ppt_rl.functional.tank_laws import dissipative_part
 
 __all__ = [
-    "held_key",
+    "beside_key",
     "limit_within",
     "passing_part",
     "require_inertia",
@@ -52,25 +52,26 @@ def require_keys(out_keys: tuple[NestedKey, ...], p_max_key: NestedKey | None, e
         )
 
 
-def held_key(energy_key: NestedKey) -> NestedKey:
-    """Where a tank keeps the energy that contact may hold: beside its level.
+def beside_key(energy_key: NestedKey, what: str) -> NestedKey:
+    """Where a tank keeps a further state: beside its level.
 
     Args:
         energy_key: where the level is written.
+        what: name of the state.
 
     Returns:
-        The same key with ``_held`` appended to its last part.
+        The same key with an underscore and that name appended to its last part.
     """
     *nest, name = energy_key if isinstance(energy_key, tuple) else (energy_key,)
-    return unravel_key((*nest, f"{name}_held"))
+    return unravel_key((*nest, f"{name}_{what}"))
 
 
 def require_read(mode: str, law: Callable[..., Any], damping_key: NestedKey | None, inertia: Any) -> None:
-    """Raise unless a law gets what it reads, and nothing else.
+    """Raise unless a law gets what it needs, and nothing that it does not read.
 
     Args:
         mode: its name.
-        law: the law.
+        law: the law; what has a default in its signature may be missing.
         damping_key: where the damping is found, None for nowhere.
         inertia: the inertia, None for none.
 
@@ -78,9 +79,10 @@ def require_read(mode: str, law: Callable[..., Any], damping_key: NestedKey | No
         ValueError: if something is missing or superfluous.
     """
     given = {"damping": damping_key is not None, "inertia": inertia is not None}
+    needed = law_reads(law, needed=True)
     for name, is_given in given.items():
         is_read, argument = name in law_reads(law), _ARGUMENTS[name]
-        if is_read and not is_given:
+        if name in needed and not is_given:
             advice = {
                 "damping": "the key under which an ImpedanceTransform(damping_key=...) writes the damping",
                 "inertia": "the inertia that the effort accelerates, such as the arm's Kinematics for joint torque",
@@ -170,7 +172,15 @@ def limit_within(key: NestedKey, value: Tensor, most: float, like: Tensor) -> Te
 
 
 def passing_part(
-    key: NestedKey, damping: Tensor, effort: Tensor, flow: Tensor, bounds: EffortBounds | None, factor: Tensor | None
+    key: NestedKey,
+    damping: Tensor,
+    effort: Tensor,
+    flow: Tensor,
+    bounds: EffortBounds | None,
+    factor: Tensor | None,
+    *,
+    inertia: Tensor | None,
+    dt: float,
 ) -> Tensor:
     """The part of an effort that passes beside the valve: its damping within the bounds, where it surely brakes.
 
@@ -181,6 +191,8 @@ def passing_part(
         flow: ``(*B, N)`` the velocity that they work on.
         bounds: of the effort.
         factor: ``(*B, 1)`` by which the bounds have scaled the effort; None for not at all.
+        inertia: what the effort accelerates, where the damping has to brake for the whole control step.
+        dt: control step [s].
 
     Returns:
         ``(*B, N)``, zero where the damping does not brake.
@@ -195,4 +207,4 @@ def passing_part(
         )
     damping = damping if factor is None else damping * factor
     damping = damping if bounds is None else scale_into(damping, bounds)[0]
-    return dissipative_part(damping, flow)
+    return dissipative_part(damping, flow, inertia=inertia, dt=dt)

@@ -24,6 +24,8 @@ LAW_CASES = {
     "paper": LawCase(energy_tank, lambda damping, inertia: {}),
     "passive": LawCase(passive_tank, lambda damping, inertia: {}),
     "parallel": LawCase(parallel_tank, lambda damping, inertia: {"damping": damping}),
+    "passive ahead": LawCase(passive_tank, lambda damping, inertia: {"inertia": inertia}),
+    "parallel ahead": LawCase(parallel_tank, lambda damping, inertia: {"damping": damping, "inertia": inertia}),
     "rate": LawCase(rate_tank, lambda damping, inertia: {"inertia": inertia}),
     "impact": LawCase(impact_tank, lambda damping, inertia: {"inertia": inertia}),
 }
@@ -70,8 +72,10 @@ def check_result(
     dt,
 ) -> tuple[Tensor, Fraction]:
     """The same for a result of the law that is at hand already."""
-    passed = dissipative_part(damping, flow) if name == "parallel" else torch.zeros_like(effort)
-    executed = beside(out.valve, effort, passed) if name == "parallel" else out.valve * effort
+    passed, looked = torch.zeros_like(effort), {"inertia": inertia, "dt": dt} if name == "parallel ahead" else {}
+    if name in ("parallel", "parallel ahead"):
+        passed = dissipative_part(damping, flow, **looked)
+    executed = beside(out.valve, effort, passed)
     limit, step = max(exact(p_max), Fraction(0)), Fraction(dt)
     power = dot(fractions(executed), fractions(flow))
     paid = exact(energy) - exact(out.energy)
@@ -87,11 +91,16 @@ def check_result(
         terms = [x * y for x, y in zip(fractions(effort), fractions(flow), strict=True)]
         doubt = 20 * Fraction(torch.finfo(effort.dtype).eps) * sum(map(abs, terms))
         assert sum(terms) >= -doubt or out.valve == 1  # what surely brakes passes
-    if name == "parallel":
+    if name in ("parallel", "parallel ahead"):
         assert dot(fractions(passed), fractions(flow)) <= 0
         active = exact(out.valve) * abs(dot(fractions(effort - passed), fractions(flow)))
         assert active <= limit
         assert active * step <= paid
+    if name in ("passive ahead", "parallel ahead"):
+        held, masses = fractions(executed), fractions(inertia)
+        rise = dot(held, [x / m for x, m in zip(held, masses, strict=True)])
+        assert power + step * rise <= limit
+        delivered = step * (power + step * rise / 2)
     if name in ("rate", "impact"):
         held, masses = fractions(executed), fractions(inertia)
         rise = dot(held, [x / m for x, m in zip(held, masses, strict=True)])

@@ -159,10 +159,12 @@ CASES: dict[str, Case] = {
         nested={**_ACTION, "pose_key": ("agent", "pose"), "twist_key": ("agent", "twist")},
     ),
     "EnergyTankTransform": Case(
-        lambda **kwargs: EnergyTankTransform(p_max=1.0, e_max=0.02, **kwargs),
-        state=("tank_energy", "valve"),
+        lambda **kwargs: EnergyTankTransform(
+            p_max=1.0, e_max=0.02, position_key="joint_position", **{"flow_key": "joint_velocity", **kwargs}
+        ),
+        state=("tank_energy", "valve", "tank_energy_debt"),
         timed=True,
-        nested={"effort_key": ("agent", "action"), "flow_key": "joint_velocity"},
+        nested={"effort_key": ("agent", "action")},
     ),
     "EpisodeMetricsTransform": Case(
         EpisodeMetricsTransform,

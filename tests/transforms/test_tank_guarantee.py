@@ -46,6 +46,28 @@ def test_an_attack_gets_no_more_executed_than_the_tank_allows(name):
     assert result["work"] <= 1 + 1e-5
 
 
+@pytest.mark.parametrize("name", ["1e10 N m", "perpendicular", "posture 1000 N m/rad"])
+@pytest.mark.parametrize(("mode", "most"), [("passive", 1.0), ("parallel", 1.0), ("rate", 1.002), ("impact", 1.002)])
+def test_what_an_attack_gets_delivered_in_the_closed_loop_stays_below_what_was_in_the_tank(mode, most, name):
+    run = attacks.Config(steps=1600, num_envs=16, threads=1, p_max=1.0, e_max=0.8, mode=mode)
+    assert attacks.attack(name, run)["net_energy"] <= most  # only an account that is settled sees Coriolis forces
+
+
+@pytest.mark.parametrize("mode", ["passive", "parallel"])
+def test_without_an_inertia_an_attack_gets_more_delivered_than_was_in_the_tank(mode, monkeypatch):
+    keys = ("motor_tank_energy", "motor_valve")
+    read = {"damping_key": "damping"} if mode == "parallel" else {}
+    monkeypatch.setattr(
+        attacks,
+        "motor_tank",
+        lambda p_max, e_max, mode, arm: EnergyTankTransform(
+            p_max, e_max, mode=mode, flow_key="joint_velocity", out_keys=keys, **read
+        ),
+    )
+    run = attacks.Config(steps=1600, num_envs=16, threads=1, p_max=1.0, e_max=0.8, mode=mode)
+    assert attacks.attack("1e10 N m", run)["net_energy"] > 2
+
+
 @pytest.mark.parametrize("name", sorted(set(attacks.ATTACKS) - {"1e10 N m", "perpendicular"}))
 def test_the_same_attack_without_the_tank_exceeds_its_limits(name, monkeypatch):
     monkeypatch.setattr(attacks, "motor_tank", lambda p_max, e_max: motor_tank(1e9, 1e9))

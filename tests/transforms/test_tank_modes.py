@@ -20,6 +20,8 @@ from tests.engines import ONE_THREAD
 from tests.transforms.mocks import MockArmEnv, actions_for, play
 
 MODES = ["paper", "passive", "parallel", "rate", "impact"]
+#: Laws that look ahead where they are given an inertia.
+AHEAD = [("passive", True), ("parallel", True)]
 
 
 def arm_env(mode: str, p_max: float = 0.5, e_max: float = 0.1, *more: Transform, **kwargs) -> TransformedEnv:
@@ -79,19 +81,32 @@ def test_braking_refills_a_passive_tank_and_passes_it_when_it_is_empty():
     assert (td["tank_energy"] > empty).all()
 
 
-def test_an_empty_parallel_tank_executes_the_damping_of_the_impedance_in_joint_space():
-    env = arm_env("parallel", 5.0, 1.0)
+@pytest.mark.parametrize("looks_ahead", [False, True])
+def test_an_empty_parallel_tank_executes_the_damping_of_the_impedance_in_joint_space(looks_ahead):
+    base = PandaPushEnv(2, duration=0.5, seed=0, engine=ONE_THREAD)
+    at_motors, *chain = chain_of(base, "parallel", 5.0, 1.0)
+    if not looks_ahead:
+        keys = ("motor_tank_energy", "motor_valve")
+        at_motors = EnergyTankTransform(
+            5.0, 1.0, mode="parallel", flow_key="joint_velocity", damping_key="damping", out_keys=keys
+        )
+    env = TransformedEnv(base, Compose(at_motors, *chain))
     executed, td = attacks._watched(env.base_env), env.reset()
     for _ in range(10):
         td = env._step_mdp(env.step(td.set("action", reference(td, 0.05))))
     for key in ("motor_tank_energy", "tank_energy"):
         td[key] = torch.zeros(2, 1)
-    twist, position = td["twist"].clone(), td["joint_position"].clone()
+    twist, position, velocity = (td[key].clone() for key in ("twist", "joint_position", "joint_velocity"))
     assert (twist[:, 0].abs() > 0.01).all()
     td = env._step_mdp(env.step(td.set("action", reference(td, 0.05))))
     kinematics = Kinematics(PANDA, PandaPushEnv.tool.length)
     wrench = -CartesianImpedanceController().damping.detach() * twist
     expected = (wrench.unsqueeze(-2) @ kinematics.jacobian(position)).squeeze(-2)
+    if looks_ahead:  # no more of it than stops the motion that it brakes
+        rise = torch.linalg.solve(Kinematics(PANDA, 0.0).inertia(position), expected)
+        factor = -(expected * velocity).sum(-1) / (0.01 * (expected * rise).sum(-1))
+        assert ((factor > 0.5) & (factor < 1)).all()
+        expected = factor.unsqueeze(-1) * expected
     torch.testing.assert_close(executed[0].float(), expected, rtol=1e-4, atol=1e-4)
     assert not td["motor_valve"].any()
     assert "damping" not in td.keys()
@@ -136,10 +151,10 @@ def test_the_power_in_an_impact_stays_within_the_limit_of_the_impact_law_only(mo
 # -- what a law reads --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(("mode", "looks_ahead"), [(mode, mode in ("rate", "impact")) for mode in MODES] + AHEAD)
 @pytest.mark.parametrize("batch", [(), (3,), (2, 2)], ids=str)
-def test_every_law_works_on_any_batch_and_a_dictionary_of_specs(mode, batch):
-    read = {"inertia": PANDA.joints.inertia} if mode in ("rate", "impact") else {}
+def test_every_law_works_on_any_batch_and_a_dictionary_of_specs(mode, looks_ahead, batch):
+    read = {"inertia": PANDA.joints.inertia} if looks_ahead else {}
     read |= {"damping_key": "executed"} if mode == "parallel" else {}  # any entry of that size
     env = TransformedEnv(MockArmEnv(batch), EnergyTankTransform(0.5, 0.1, mode=mode, **read))
     check_env_specs(env)
@@ -149,8 +164,10 @@ def test_every_law_works_on_any_batch_and_a_dictionary_of_specs(mode, batch):
     check_env_specs(copied)
 
 
-def test_an_inertia_may_be_a_matrix():
-    tanks = [EnergyTankTransform(0.5, 0.1, mode="rate", inertia=x) for x in ([2.0] * 7, 2.0 * torch.eye(7))]
+@pytest.mark.parametrize("mode", ["passive", "parallel", "rate", "impact"])
+def test_an_inertia_may_be_a_matrix(mode):
+    read = {"damping_key": "executed"} if mode == "parallel" else {}
+    tanks = [EnergyTankTransform(0.5, 0.1, mode=mode, inertia=x, **read) for x in ([2.0] * 7, 2.0 * torch.eye(7))]
     envs = [TransformedEnv(MockArmEnv((2,)), tank) for tank in tanks]
     levels = [play(env, actions_for(env, 5, scale=3.0))["next", "tank_energy"] for env in envs]
     torch.testing.assert_close(*levels, rtol=1e-5, atol=1e-7)
