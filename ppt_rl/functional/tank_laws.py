@@ -105,7 +105,7 @@ def parallel_tank(
 ) -> EnergyTankStep:
     r"""A valve on the active part of an effort only; damping passes beside it, whatever the level.
 
-    With ``effort = active + damping``, what is executed is ``damping + valve * active`` (:func:`beside`), and
+    With ``effort = active + damping``, what is executed is ``damping + valve * active``, and
 
     .. math::
         \gamma &= \min\Big(1,\ \frac{P_{max}}{\max(\epsilon, p)},\ \frac{E}{\Delta t \max(\epsilon, p)}\Big),
@@ -113,8 +113,8 @@ def parallel_tank(
         E' &= \mathrm{clip}(E - \gamma\, p\, \Delta t,\ 0,\ E_{max})
 
     Damping takes energy out of the motion, ``damping . flow <= 0``, so nobody has to pay for it, and an empty tank
-    brakes. A damping for which that does not surely hold counts as active (:func:`dissipative_part`). Hence, for finite
-    inputs whose products do not underflow, the stored numbers satisfy, evaluated exactly,
+    brakes. A damping for which that does not surely hold counts as active. Hence, for finite inputs whose products do
+    not underflow, the stored numbers satisfy, evaluated exactly,
 
     * ``valve |active . flow| <= p_max``, and ``executed . flow <= p_max``; the power of braking has no limit;
     * over an episode ``sum valve |active . flow| dt <= E_0 - E``, and ``sum executed . flow dt <= E_0 - E``: the net
@@ -122,7 +122,8 @@ def parallel_tank(
 
     That is the power at the beginning of a step. With ``inertia`` the law looks ahead as
     :func:`~ppt_rl.functional.tank_ahead.rate_tank` does. As much of the damping passes as brakes until the end of the
-    step (:func:`dissipative_part`), and the valve on the rest counts what both do to the velocity:
+    step, the share ``min(1, -damping . flow / (damping . M^{-1} damping dt))``, and the valve on the rest counts what
+    both do to the velocity:
 
     .. math::
         \gamma\, (\mathrm{active} \cdot \mathrm{flow} + 2\, c\, \Delta t) + \gamma^2 a\, \Delta t
@@ -237,8 +238,8 @@ def _gain(effort: Tensor, inertia: Tensor, dt: float, ulp: float) -> Tensor:
 
 def _cross(damping: Tensor, active: Tensor, inertia: Tensor, dt: float, ulp: float) -> Tensor:
     """What damping and the active part add to each other's power in a control step ``(*B, 1)`` [W], rounded up."""
-    sizes = accelerating_power(damping, inertia, ulp) * accelerating_power(active, inertia, ulp)
-    doubt = sizes.clamp_min(0.0).sqrt() * ((damping.shape[-1] + 20) * ulp)
+    sizes = [accelerating_power(part, inertia, ulp).clamp_min(0.0).sqrt() for part in (damping, active)]
+    doubt = sizes[0] * sizes[1] * ((damping.shape[-1] + 20) * ulp)
     return coupling(damping, active, inertia, doubt) * dt
 
 

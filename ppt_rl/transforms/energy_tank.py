@@ -95,9 +95,10 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform, TankAccountTransf
         damping_key: the damping part of the action, for a law that reads it.
         p_max_key: power limit of the step ``(*B, 1)`` [W]; None takes ``p_max`` always.
         e_max_key: capacity from the step on ``(*B, 1)`` [J]; None takes ``e_max`` always.
-        position_key: the position whose rate ``flow_key`` is, such as ``joint_position``. With it, what the held effort
-            really delivered is settled after each step (:class:`~ppt_rl.transforms.tank_account.TankAccountTransform`),
-            with a debt ``tank_energy_debt`` ``(*B, 1)`` [J] as a further state. None takes the law's price.
+        position_key: the position q whose rate ``flow_key`` is, such as ``joint_position``. With it the level is
+            settled after each step: what the held effort delivered, ``effort . (q' - q)``, is paid where it is more
+            than the law's price, and what the level cannot pay stays as a debt, the state ``tank_energy_debt``
+            ``(*B, 1)`` [J]. So the net energy of an episode is at most ``E_0 - E + debt``. None takes the law's price.
         out_keys: where the level and the valve are written. A second tank in the same chain needs others.
 
     Raises:
