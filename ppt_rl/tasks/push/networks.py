@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from torch import nn
 from torchrl.envs import TransformedEnv
@@ -34,7 +34,7 @@ PRIVILEGED = ("box_pose",)
 
 def make_push_policy(
     config: PushConfig, env: TransformedEnv, *, initial_scale: float, extra_keys: Sequence[str] = (),
-    beside: Sequence[int] = (),
+    beside: Sequence[int] = (), extra_signs: Mapping[str, Sequence[int]] | None = None,
 ) -> tuple[nn.Module, nn.Module]:  # fmt: skip
     """Actor on what is known at test time, critic on the box's pose as well.
 
@@ -44,12 +44,13 @@ def make_push_policy(
         initial_scale: standard deviation of the untrained policy [action units].
         extra_keys: further observations, which the recipe's transforms add.
         beside: signs, when left and right change places, of what the action holds after the numbers of x, y and yaw.
+        extra_signs: such signs of further observations that no chain of the library adds, by key.
 
     Returns:
         Actor and critic.
     """
     keys = _actor_keys(config, extra_keys)
-    signs = _KNOWN | _FURTHER
+    signs = _KNOWN | _FURTHER | dict(extra_signs or {})
     per_axis = (env.full_action_spec["action"].shape[-1] - len(beside)) // len(PUSH_AXES)  # the action is axis by axis
     acted = [*(sign for sign in _AXES for _ in range(per_axis)), *beside]
     mirror = Mirror([sign for key in keys for sign in signs[key]], acted)
