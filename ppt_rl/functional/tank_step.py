@@ -53,7 +53,7 @@ class TankLaw(Protocol):
     ``(*B, 1)`` where they are given per step. A law says by its signature what else it reads: with a keyword argument
     ``damping`` it gets the dissipative part of the effort, which passes whole, with ``inertia`` the inertia that the
     effort accelerates, and with ``stored`` the energy that contact may hold, in the same inertia
-    (:func:`~ppt_rl.functional.tank_ahead.recent_motion`).
+    (:func:`~ppt_rl.functional.tank_ahead.recent_motion`). What has a default there may be left out of the transform.
     """
 
     def __call__(self, effort: Tensor, flow: Tensor, energy: Tensor, *args: Any, **kwargs: Any) -> EnergyTankStep:
