@@ -33,10 +33,8 @@ from torchrl.envs import (
 )
 from torchrl.envs.utils import ExplorationType
 
-from ppt_rl.modules import JointSpace, ProMP
-from ppt_rl.modules.actor_critic import update_input_norm
-from ppt_rl.training import PPOConfig, make_actor_critic
-from ppt_rl.training.networks import begin_norms
+from ppt_rl.modules import JointSpace, ProMP, update_input_norm
+from ppt_rl.training import PPOConfig, begin_norms, make_actor_critic
 from ppt_rl.training.ppo import Learner
 from ppt_rl.transforms import EnergyTankTransform, MacroStepTransform, PDTrackingTransform, ProMPTransform
 
@@ -148,7 +146,9 @@ def train(reacher: Reacher, control_steps: int | None = None, num_envs: int = 16
     learner = Learner(
         actor, critic, PPOConfig(gamma=0.999, gae_lambda=0.8, epochs=10, target_kl=0.05, learning_rate=1e-3)
     )
-    collector = Collector(env, actor, frames_per_batch=10 * num_envs, total_frames=-1)
+    collector = Collector(
+        env, actor, frames_per_batch=10 * num_envs, total_frames=-1, auto_register_policy_transforms=False
+    )
     for batch in collector:
         learner.update(batch)
         for module in (actor, critic):

@@ -1,6 +1,6 @@
 """Modules with parameters: movement primitive, impedance controller, kinematics, actor, critic and multiplier."""
 
-from ppt_rl.modules.actor_critic import Mirror, make_actor, make_critic
+from ppt_rl.modules.actor_critic import Mirror, make_actor, make_critic, update_input_norm
 from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.modules.joint_space import JointSpace
 from ppt_rl.modules.kinematics import Kinematics
@@ -18,4 +18,5 @@ __all__ = [
     "TaskSpace",
     "make_actor",
     "make_critic",
+    "update_input_norm",
 ]

@@ -95,7 +95,7 @@ class JointSpace(nn.Module):
         return self._checked("joint position", pose)
 
     def _checked(self, name: str, value: Tensor) -> Tensor:
-        require_last_dim(name, value, self.num_dof)
+        require_last_dim(f"{name} of JointSpace({self.num_dof})", value, self.num_dof)
         return value
 
     def extra_repr(self) -> str:

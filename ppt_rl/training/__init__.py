@@ -6,7 +6,7 @@ from ppt_rl.training.constrained import ConstrainedLearner
 from ppt_rl.training.finite import TrainingDiverged
 from ppt_rl.training.lagrangian import Constraint, LagrangianPPOLoss
 from ppt_rl.training.loop import train_ppo
-from ppt_rl.training.networks import make_actor_critic, make_cost_critic
+from ppt_rl.training.networks import begin_norms, make_actor_critic, make_cost_critic
 from ppt_rl.training.ppo import Learner, PPOConfig
 from ppt_rl.training.progress import TrainingRun
 from ppt_rl.training.resume import options_to_resume
@@ -28,6 +28,7 @@ __all__ = [
     "TrainingRun",
     "Validation",
     "as_json",
+    "begin_norms",
     "checkpoint_info",
     "find_checkpoint",
     "from_json",

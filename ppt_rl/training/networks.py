@@ -23,6 +23,9 @@ def make_actor_critic(
 ) -> tuple[nn.Module, nn.Module]:
     """Actor and critic sized for an environment.
 
+    Both normalise their inputs with running statistics. A training of a run keeps them; in a loop of your own, call
+    :func:`begin_norms` before the first batch and :func:`~ppt_rl.modules.update_input_norm` after each update.
+
     Args:
         env: environment with the recipe's chain.
         actor_keys: observations of the policy; none of them privileged.
@@ -77,6 +80,10 @@ def begin_norms(env: EnvBase, modules: Sequence[nn.Module], resets: int = 4) -> 
         env: environment with the recipe's chain.
         modules: actor and critic.
         resets: number of batches of episodes.
+
+    Raises:
+        ValueError: if a module has no input statistics.
+        KeyError: if the environment lacks an observation that a module reads.
     """
     samples = [env.reset() for _ in range(resets)]
     data = torch.cat([sample.select(*env.observation_keys) for sample in samples])

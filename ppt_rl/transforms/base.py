@@ -117,7 +117,11 @@ class StatefulTransform(Transform):
         missing = [key for key, value in zip(keys, values, strict=True) if value is None]
         if missing:
             present = sorted(str(key) for key in tensordict.keys(True, True))
-            raise KeyError(f"{type(self).__name__} needs {missing}; the tensordict holds {present}.{self._hint}")
+            named = [name for name, value in vars(self).items() if name.endswith("_key") and value in missing]
+            elsewhere = f" Pass {'=, '.join(named)}= where it has another name." if named else ""
+            raise KeyError(
+                f"{type(self).__name__} needs {missing}; the tensordict holds {present}.{elsewhere}{self._hint}"
+            )
         return values
 
     # -- memory -------------------------------------------------------------------------------------------------------

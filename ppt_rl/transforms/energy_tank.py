@@ -22,7 +22,15 @@ from ppt_rl.transforms.joint_torque import JointTorqueTransform
 from ppt_rl.transforms.specs import real
 from ppt_rl.transforms.step_limits import StepLimitsTransform
 from ppt_rl.transforms.tank_account import TankAccountTransform
-from ppt_rl.transforms.tank_inputs import beside_key, passing_part, require_inertia, require_keys, require_read
+from ppt_rl.transforms.tank_inputs import (
+    beside_key,
+    passing_part,
+    require_inertia,
+    require_keys,
+    require_law,
+    require_read,
+    require_result,
+)
 from ppt_rl.transforms.timed import TimedTransform
 
 __all__ = ["EnergyTankTransform"]
@@ -151,6 +159,7 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform, TankAccountTransf
         self.dt = dt
         self.eps = require_positive("eps", eps, "W")
         self.mode, self.law = mode, TANK_LAWS[mode]
+        require_law(mode, self.law)
         require_read(mode, self.law, damping_key, inertia)
         self.kinematics = inertia if isinstance(inertia, Kinematics) else None
         constant = None if inertia is None or isinstance(inertia, Kinematics) else require_inertia(inertia)
@@ -192,6 +201,7 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform, TankAccountTransf
                 self.damping_key, damping, effort, flow, bounds, factor, inertia=read.get("inertia"), dt=self.dt
             )
         step = self.law(effort, flow, energy, p_max=p_max, e_max=e_max, dt=self.dt, eps=self.eps, **read)
+        step = require_result(self.mode, self.law, step, energy, self.e_max)
         executed = beside(step.valve, effort, read["damping"]) if "damping" in read else step.valve * effort
         tensordict.set(self.action_key, executed)
         self._hold(tensordict, executed)

@@ -56,7 +56,7 @@ class MacroStepTransform(ActionTransform):
     Args:
         num_steps: N; None leaves it to the transform that makes the chunk.
         discount: discount of rewards from one control step to the next [-].
-        trace_keys: entries under next to record.
+        trace_keys: entries under next to record, which transforms before the macro step write at every control step.
         interrupt_key: observation ``(*B, 1)`` bool that ends a chunk early, such as ``new_wall``; the environment must
             honour a ``_step`` mask.
         action_key: the action: a chunk outside, its steps towards the environment.
@@ -186,10 +186,10 @@ class MacroStepTransform(ActionTransform):
         batch = nest_of(tensordict, self.action_key).shape
         length = chunk.shape[len(batch)] if chunk.ndim > len(batch) + 1 else 0
         if length == 0 or (self.num_steps is not None and length != self.num_steps):
-            wanted = "N" if self.num_steps is None else self.num_steps
+            wanted = ", ".join(map(str, [*batch, "N" if self.num_steps is None else self.num_steps, "A"]))
             raise ValueError(
-                f"action has shape {tuple(chunk.shape)}; expected a chunk ({', '.join(map(str, batch))}, {wanted}, A) "
-                "of at least one action."
+                f"MacroStepTransform({self.num_steps or ''}): action has shape {tuple(chunk.shape)}; expected a chunk "
+                f"({wanted}) of at least one action. A ProMPTransform makes chunks of replan_steps actions."
             )
         require_finite("action (chunk)", chunk)
         return chunk
@@ -240,7 +240,10 @@ class MacroStepTransform(ActionTransform):
         wanted = [*self.trace_keys, *([] if self.interrupt_key is None else [self.interrupt_key])]
         unknown = [key for key in wanted if unravel_key(key) not in available]
         if unknown:
-            raise KeyError(f"trace key or interrupt_key {unknown} is no observation; expected one of {available}.")
+            raise ValueError(  # torchrl hides a KeyError that comes up while it looks for a spec
+                f"trace key or interrupt_key {unknown} is no observation of a control step; expected one of "
+                f"{available}, which the transforms before the macro step write."
+            )
 
     def _outputs(self) -> dict[NestedKey, TensorSpec]:
         self._check_parent()

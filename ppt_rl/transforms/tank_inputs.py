@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from ppt_rl.functional.argument_checks import shown
 from ppt_rl.functional.checks import require_all, require_finite
-from ppt_rl.functional.energy_tank import law_reads
+from ppt_rl.functional.energy_tank import TANK_LAWS, EnergyTankStep, law_reads
 from ppt_rl.functional.limits import EffortBounds, scale_into
 from ppt_rl.functional.tank_laws import dissipative_part
 
@@ -21,14 +22,18 @@ __all__ = [
     "passing_part",
     "require_inertia",
     "require_keys",
+    "require_law",
     "require_level",
     "require_read",
+    "require_result",
 ]
 
 #: What a law may read, and the argument of the transform that gives it.
 _ARGUMENTS = {"damping": "damping_key", "inertia": "inertia"}
 #: Largest difference between the level in the tensordict and the tank's own, as a share of the capacity [-].
 _SAME_LEVEL = 1e-5
+#: The laws of this library.
+_LAWS = frozenset(TANK_LAWS.values())
 
 
 def require_keys(out_keys: tuple[NestedKey, ...], p_max_key: NestedKey | None, e_max_key: NestedKey | None) -> None:
@@ -90,6 +95,60 @@ def require_read(mode: str, law: Callable[..., Any], damping_key: NestedKey | No
             raise ValueError(f"{argument} is None; expected {advice[name]}, which the law mode={mode!r} reads.")
         if is_given and not is_read:
             raise ValueError(f"{argument} is given, but mode={mode!r} reads no {name}; expected None. Leave it out.")
+
+
+def require_law(mode: str, law: Callable[..., Any]) -> None:
+    """Raise unless a law can be called as the transform calls it.
+
+    Args:
+        mode: its name.
+        law: the law.
+
+    Raises:
+        ValueError: if it lacks an argument of that form, or has others that are not known.
+    """
+    usual = {"p_max": 0.0, "e_max": 0.0, "dt": 0.0, "eps": 0.0}
+    try:
+        inspect.signature(law).bind(0.0, 0.0, 0.0, **usual, **dict.fromkeys(law_reads(law), 0.0))
+    except TypeError as error:
+        raise ValueError(
+            f"the law mode={mode!r} cannot be called as law(effort, flow, energy, *, p_max, e_max, dt, eps): {error}; "
+            "expected that form, with damping, inertia and stored as the only further arguments."
+        ) from error
+
+
+def require_result(mode: str, law: Callable[..., Any], step: Any, energy: Tensor, e_max: float) -> EnergyTankStep:
+    """Raise unless a law returned what it should; the numbers of the laws of this library are proven, not looked at.
+
+    Args:
+        mode: its name.
+        law: the law.
+        step: what it returned.
+        energy: ``(*B, 1)`` level before the step [J].
+        e_max: capacity [J].
+
+    Returns:
+        The result.
+
+    Raises:
+        ValueError: if it is no ``EnergyTankStep``, or a part of it has another shape than the level or is out of range.
+    """
+    if not isinstance(step, EnergyTankStep):
+        raise ValueError(
+            f"the law mode={mode!r} returned {type(step).__name__}; expected an EnergyTankStep(valve, energy, power)."
+        )
+    for name, value in step._asdict().items():
+        if value.shape != energy.shape:
+            raise ValueError(
+                f"the law mode={mode!r} returned {name} of shape {tuple(value.shape)}; expected {tuple(energy.shape)}, "
+                "one number for each environment."
+            )
+    if law not in _LAWS:
+        valve, level = step.valve, step.energy
+        require_all((valve >= 0) & (valve <= 1), f"the law mode={mode!r} returned a valve outside of [0, 1].")
+        allowed = (level >= 0) & (level <= e_max * (1 + _SAME_LEVEL))
+        require_all(allowed, f"the law mode={mode!r} returned a level outside of [0, {e_max}] J, the capacity.")
+    return step
 
 
 def require_inertia(inertia: Sequence[float] | Tensor) -> Tensor:
@@ -165,7 +224,7 @@ def limit_within(key: NestedKey, value: Tensor, most: float, like: Tensor) -> Te
     if value.shape != (*like.shape[:-1], 1):
         raise ValueError(
             f"the limit {key!r} has shape {tuple(value.shape)}; expected {(*like.shape[:-1], 1)}, one number for each "
-            "effort."
+            "environment, that of its whole effort."
         )
     require_all(~value.isnan(), f"the limit {key!r} is NaN; expected numbers from 0 to {most}. Look at what writes it.")
     return value.to(like.dtype).clamp(0.0, most)

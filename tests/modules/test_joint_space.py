@@ -35,7 +35,7 @@ def test_it_is_cast_and_saved_without_numbers_of_its_own():
 
 @pytest.mark.parametrize("use", ["pose", "twist", "project"])
 def test_a_wrong_number_of_joints_is_refused(use):
-    with pytest.raises(ValueError, match=r"joint \w+ has shape \(4, 3\); expected \(\*batch, 2\)"):
+    with pytest.raises(ValueError, match=r"joint \w+ of JointSpace\(2\) has shape \(4, 3\); expected \(\*batch, 2\)"):
         getattr(JointSpace(2), use)(torch.zeros(4, 3))
 
 

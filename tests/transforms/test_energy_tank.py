@@ -126,6 +126,48 @@ def test_the_transform_gives_the_law_all_of_its_numbers(monkeypatch):
     assert seen == [{"p_max": 1.5, "e_max": 2.5, "dt": 0.01, "eps": 1e-4}]
 
 
+def _returning(*parts):
+    return lambda effort, flow, energy, *, p_max, e_max, dt, eps: EnergyTankStep(
+        *(part(effort, energy) for part in parts)
+    )
+
+
+def _one(effort, energy):
+    return torch.ones_like(energy)
+
+
+#: Faulty laws, and what the error says of each.
+FAULTY = {
+    "a tuple": (
+        lambda effort, flow, energy, *, p_max, e_max, dt, eps: (energy, energy, energy),
+        r"returned tuple; expected an Ene",
+    ),
+    "a flat valve": (_returning(lambda f, e: e[..., 0], _one, _one), r"valve of shape \(7,\); expected \(7, 1\)"),
+    "a valve for each joint": (_returning(lambda f, e: f, _one, _one), r"valve of shape \(7, 7\); expected \(7, 1\)"),
+    "a valve of two": (_returning(lambda f, e: e + 2, _one, _one), r"a valve outside of \[0, 1\]"),
+    "a valve that is no number": (_returning(lambda f, e: e * torch.nan, _one, _one), r"a valve outside of \[0, 1\]"),
+    "a level above the capacity": (_returning(_one, lambda f, e: e + 60, _one), r"a level outside of \[0, 3.0\] J"),
+}
+
+
+@pytest.mark.parametrize("fault", sorted(FAULTY))
+def test_a_faulty_law_is_refused_by_name(fault, monkeypatch):
+    law, message = FAULTY[fault]
+    monkeypatch.setitem(TANK_LAWS, "faulty", law)
+    env = TransformedEnv(MockArmEnv((7,)), EnergyTankTransform(2.0, 3.0, mode="faulty"))  # as many rows as joints
+    with pytest.raises(ValueError, match=rf"the law mode='faulty' returned .*{message.removeprefix('returned ')}"):
+        env.step(env.reset().set("action", torch.ones(7, 7)))
+
+
+def test_a_law_that_cannot_be_called_is_refused_before_it_is_used(monkeypatch):
+    monkeypatch.setitem(TANK_LAWS, "warm", lambda effort, flow, energy, *, p_max, e_max, dt, eps, temperature: None)
+    with pytest.raises(ValueError, match=r"mode='warm' cannot be called .*'temperature'.*damping, inertia and stored"):
+        EnergyTankTransform(mode="warm")
+    monkeypatch.setitem(TANK_LAWS, "short", lambda effort, flow, energy, *, p_max, e_max, dt: None)
+    with pytest.raises(ValueError, match=r"mode='short' cannot be called as law\(effort, flow, energy.*'eps'"):
+        EnergyTankTransform(mode="short")
+
+
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_an_effort_that_is_not_finite_is_refused(bad):
     env = TransformedEnv(MockArmEnv((2,)), EnergyTankTransform())

@@ -243,7 +243,7 @@ def test_a_discount_outside_zero_to_one_is_refused(discount):
 
 
 def test_an_unknown_trace_key_is_refused_with_the_observations_that_there_are():
-    with pytest.raises(KeyError, match=r"'absent'.* is no observation.*joint_velocity"):
+    with pytest.raises(ValueError, match=r"'absent'.* is no observation.*joint_velocity"):
         make_env(4, (20,), trace_keys=["absent"]).reset()
 
 
