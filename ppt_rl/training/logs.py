@@ -196,7 +196,7 @@ def write_text_atomically(path: Path, text: str) -> None:
 
 
 def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """Write a file atomically: it appears complete or not at all.
+    """Write a file atomically: it appears complete or not at all, after a power cut too.
 
     Args:
         path: path of the file; its directory is created.
@@ -205,7 +205,10 @@ def write_bytes_atomically(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        draft.write_bytes(data)
+        with draft.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # the content is on the disk before the name is
         draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)

@@ -105,15 +105,23 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_draft(tmp_path, monkeypat
     path = tmp_path / "file"
     write_bytes_atomically(path, b"old")
 
-    def full(self, data):
-        self.touch()
+    def full(number):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="No space"):
         write_bytes_atomically(path, b"new")
     assert path.read_text() == "old"
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
+
+
+def test_the_content_is_on_the_disk_before_the_name_is(tmp_path, monkeypatch):
+    done, sync, replace = [], os.fsync, Path.replace
+    monkeypatch.setattr(os, "fsync", lambda number: (done.append("content"), sync(number)))
+    monkeypatch.setattr(Path, "replace", lambda draft, path: (done.append("name"), replace(draft, path))[1])
+    write_bytes_atomically(tmp_path / "file", b"new")
+    assert done == ["content", "name"]
+    assert (tmp_path / "file").read_bytes() == b"new"
 
 
 def test_drafts_of_killed_processes_are_removed_and_nothing_else(tmp_path):
