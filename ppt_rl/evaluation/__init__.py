@@ -4,6 +4,7 @@ from ppt_rl.evaluation.calibration import Calibration, calibrate
 from ppt_rl.evaluation.collisions import Collisions, collide
 from ppt_rl.evaluation.columns import COLUMNS, POWER_AND_WORK, Column
 from ppt_rl.evaluation.difficulty import Sweep, SweepPoint
+from ppt_rl.evaluation.disturbed import beside_the_reference
 from ppt_rl.evaluation.episodes import ZeroPolicy, record_episodes, run_episodes
 from ppt_rl.evaluation.judge import Evaluation, evaluate
 from ppt_rl.evaluation.policy import Policy, load_policy
@@ -15,7 +16,7 @@ from ppt_rl.evaluation.published import (
     save_pretrained,
 )
 from ppt_rl.evaluation.recipe import Recipe, find_recipe, shipped_recipes
-from ppt_rl.evaluation.scenario import Scenario, beside_the_reference
+from ppt_rl.evaluation.scenario import Scenario
 from ppt_rl.evaluation.statistics import Claim, distribution, interval, summarise
 from ppt_rl.evaluation.study import Study, find_recipes, run_study
 from ppt_rl.evaluation.sweep import run_sweep

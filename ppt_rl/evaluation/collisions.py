@@ -12,6 +12,7 @@ import numpy as np
 
 from ppt_rl.envs.contact_audit import CONTACT
 from ppt_rl.evaluation.collision_figure import plot_collisions
+from ppt_rl.evaluation.disturbed import in_scenario
 from ppt_rl.evaluation.episodes import Rows, require_run_options, run_episodes
 from ppt_rl.evaluation.judge import rows_of
 from ppt_rl.evaluation.limits import LIMITS, TRANSIENT_FACTOR, shares_above
@@ -181,7 +182,7 @@ def collide(
     rows: dict[str, dict[str, Rows]] = {label: {} for label in policies}
     for scenario in chosen:
         for label, policy in policies.items():
-            acting = scenario.applied_to(policy)
+            acting = in_scenario(policy, scenario)
             env = acting.make_env(min(num_envs, episodes), seed=seed, audit=True)
             found = run_episodes(env, acting.actor, episodes, keys=_KEYS, progress=f"{label}, {scenario.name}")
             env.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
@@ -13,33 +13,11 @@ from torchrl.envs import EnvBase
 from ppt_rl.envs import ArmEnv
 from ppt_rl.evaluation.columns import COLUMNS, Column
 from ppt_rl.evaluation.difficulty import Sweep
+from ppt_rl.evaluation.make_env import MakeEnv
+from ppt_rl.evaluation.scenario import Scenario
 from ppt_rl.evaluation.statistics import Claim
 
-if TYPE_CHECKING:
-    from ppt_rl.evaluation.scenario import Scenario
-
-__all__ = ["Baseline", "MakeEnv", "Pictures", "Report", "SecondPass", "Task"]
-
-
-class MakeEnv(Protocol):
-    """Makes the bare environment of a task, without the transforms of a recipe."""
-
-    def __call__(
-        self, config: Any, *, num_envs: int, seed: int | None, audit: bool, given: Sequence[Any] = ()
-    ) -> ArmEnv:
-        """Make an environment.
-
-        Args:
-            config: options of the recipe.
-            num_envs: number of environments that step together.
-            seed: seed of the episodes; None draws one.
-            audit: whether power and work are measured at the rate of the physics.
-            given: episodes to run in turn, in the task's own form (mazes), instead of random ones.
-
-        Returns:
-            The environment.
-        """
-        ...
+__all__ = ["Baseline", "Pictures", "Report", "SecondPass", "Task"]
 
 
 #: From a policy (for its options) and a bare test environment: the environment that a baseline acts on, and the

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from ppt_rl.evaluation import Collisions, Scenario, collide, load_policy
 from ppt_rl.evaluation.collision_figure import _draw_bars, plot_collisions
 from ppt_rl.evaluation.collisions import QUANTITIES, scenarios_of
+from ppt_rl.evaluation.disturbed import _with_spring_energy
 from ppt_rl.evaluation.limits import LIMITS, shares_above
-from ppt_rl.evaluation.scenario import _with_spring_energy
 
 EPISODES = 8
 SCENARIOS = [

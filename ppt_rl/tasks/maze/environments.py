@@ -20,8 +20,8 @@ def make_training_env(
 ) -> MazeEnv:
     """Straight corridors to train in, or with ``config.train_in="mazes"`` random mazes.
 
-    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given``
-    must be empty, since both are drawn. Mazes are drawn from seeds that no test takes.
+    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.make_env.MakeEnv`;
+    ``given`` must be empty, since both are drawn. Mazes are drawn from seeds that no test takes.
 
     Raises:
         ValueError: if mazes are given.
@@ -43,7 +43,7 @@ def make_test_env(
 ) -> MazeEnv:
     """Random mazes to be judged in, those of the files ``config.layouts``, or ``given`` ones, which are taken in turn.
 
-    ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`.
+    ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.make_env.MakeEnv`.
 
     Raises:
         ValueError: if a maze cannot be built.

@@ -188,8 +188,8 @@ def make_push_env(
 ) -> PushEnv:  # fmt: skip
     """The bare environment of a pushing recipe, the same in training and test.
 
-    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.task.MakeEnv`; ``given``
-    must be empty, since pushing episodes are drawn. With an ``obstacle`` it is an
+    ``config``, ``num_envs``, ``seed`` and ``audit`` are those of :class:`~ppt_rl.evaluation.make_env.MakeEnv`;
+    ``given`` must be empty, since pushing episodes are drawn. With an ``obstacle`` it is an
     :class:`~ppt_rl.envs.push.ObstructedPushEnv` with the same episodes.
 
     Raises:

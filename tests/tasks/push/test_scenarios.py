@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from ppt_rl.evaluation import collide, load_policy
+from ppt_rl.evaluation.disturbed import in_scenario
 from ppt_rl.tasks.push.faults import WrongWrenchTransform
 from ppt_rl.tasks.push.scenarios import SCENARIOS
 
@@ -60,7 +61,7 @@ def test_the_same_seed_gives_the_same_forces_to_a_policy_that_reads_no_wrench_ho
 
 
 def test_the_wrench_is_late_in_episodes_of_one_kind_and_halved_in_the_others(policy):
-    sensor = next(scenario for scenario in SCENARIOS if scenario.name == "sensor").applied_to(policy)
+    sensor = in_scenario(policy, next(scenario for scenario in SCENARIOS if scenario.name == "sensor"))
     base = sensor.recipe.task.make_test_env(sensor.config, num_envs=2, seed=0, audit=False)
     true = []
     observe = base._observation
@@ -84,7 +85,7 @@ def test_the_wrench_is_late_in_episodes_of_one_kind_and_halved_in_the_others(pol
 
 @pytest.mark.parametrize("name", ["ppt_push", "st_push"])
 def test_a_jump_enters_outside_of_what_acts_on_the_reference(name):
-    jump = next(scenario for scenario in SCENARIOS if scenario.name == "jump").applied_to(load_policy(name))
+    jump = in_scenario(load_policy(name), next(scenario for scenario in SCENARIOS if scenario.name == "jump"))
     base = jump.recipe.task.make_test_env(jump.config, num_envs=1, seed=0, audit=False)
     chain = [type(part).__name__ for part in jump.recipe.make_chain(jump.config, base, **jump.modules)]
     place = chain.index("JumpingReferenceTransform")
