@@ -21,10 +21,11 @@ from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_re
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.evaluation import Recipe, Task
 from ppt_rl.modules import Kinematics, ProMP, TaskSpace
-from ppt_rl.tasks import TaskConfig, env_settings, episode_metrics, make_controller, motor_tank
+from ppt_rl.tasks import TaskConfig, env_settings, episode_metrics, make_controller
 from ppt_rl.tasks.push.prior import push_demonstrations
 from ppt_rl.training import make_actor_critic
 from ppt_rl.transforms import (
+    EnergyTankTransform,
     EpisodeMetricsTransform,
     ImpedanceTransform,
     JointTorqueTransform,
@@ -130,7 +131,7 @@ def fit(config: Config, promp: ProMP) -> None:
 def make_chain(config: Config, base: ReachEnv, promp: ProMP) -> list[Transform]:
     """The method as a list: what stands above the macro step runs at control rate."""
     return [
-        motor_tank(config.p_max, config.e_max),
+        EnergyTankTransform(config.p_max, config.e_max),  # at the motors: torque and joint velocity
         JointTorqueTransform(Kinematics(base.arm, base.tool_length)),
         ImpedanceTransform(make_controller(config)),
         EpisodeMetricsTransform(episode_metrics(config)),

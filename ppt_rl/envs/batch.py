@@ -12,6 +12,7 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
 from ppt_rl.envs.audit import AuditedPhysics
+from ppt_rl.envs.hook_checks import require_observations, require_over, require_positions
 from ppt_rl.envs.lifetime import Lifetime
 from ppt_rl.envs.limits import require_count, require_device, require_real, require_within
 from ppt_rl.envs.models import remove_visual_geoms
@@ -99,6 +100,7 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
             every_substep=audit or self._every_substep,
         )  # fmt: skip
         self.engine: Any = AuditedPhysics(physics, model) if audit else physics
+        self._positions, self._looked_at = int(model.nq), set[str]()
         #: Where the environment computes: the device of its engine.
         self.place = self.engine.device
         self._sensors = torch.zeros(self.num_envs, model.nsensordata, dtype=self.dtype, device=self.place)
@@ -164,13 +166,14 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
             rows = mask.nonzero().squeeze(-1)
         if len(rows):
             position = self._begin(rows)
+            require_positions(type(self).__name__, position, len(rows), self._positions)
             self._sensors = self._sensors.clone()  # observations are views, so that of earlier ones is left as it is
             self._sensors[rows] = self.engine.reset(rows, position).to(self.dtype)
             self._elapsed[rows] = 0
             self._diverged[rows] = False
             self._mark_begun(mask)
         observation = self._observation()
-        observation |= self._task_reset(rows)
+        observation |= self._look_at("_task_reset", self._task_reset(rows))
         return self._pack(observation | self._done(self._elapsed >= self.horizon))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -182,10 +185,17 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         self._take(step.sensors[:, -1], step.diverged, mask)
         observation = self._observation()
         ended = self._elapsed >= self.horizon
-        observation |= self._task_step(observation, ended)
+        observation |= self._look_at("_task_step", self._task_step(observation, ended))
         if mask is not None:
             self._silence(observation, mask)
         return self._pack(observation | self._done(ended))
+
+    def _look_at(self, hook: str, observation: dict[str, Any]) -> dict[str, Any]:
+        """What a hook of the task returned, whose shapes are compared with its spec the first time."""
+        if hook not in self._looked_at:
+            require_observations(type(self).__name__, hook, observation, self.observation_spec)
+            self._looked_at.add(hook)
+        return observation
 
     def _take(self, sensors: Tensor, diverged: Tensor, mask: Tensor | None) -> None:
         """Take over the readings of a step; what diverged or did not step keeps its own."""
@@ -214,6 +224,7 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         over = self._task_over()
         terminal = ended if self.horizon_terminates else torch.zeros_like(ended)
         if over is not None:
+            require_over(type(self).__name__, over, self.num_envs)
             terminal = terminal | over
         done = ended | terminal | self._diverged
         terminated = terminal & ~self._diverged

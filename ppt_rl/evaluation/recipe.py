@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import pkgutil
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,12 +31,15 @@ from ppt_rl.training import (
     run_script,
     train_in_run_dir,
 )
+from ppt_rl.training.output import tell
 
 __all__ = ["Recipe", "find_recipe", "shipped_recipes"]
 
 _PACKAGE, _PREFIX = "ppt_rl.recipes", "ppo_"
 #: Seed of the episodes of a validation: neither training nor a reported evaluation takes it.
 _VALIDATION_SEED = 30_000
+#: Level and valve of the tank that films and reports show.
+_TANK = ("tank_energy", "valve")
 
 
 def _no_modules(config: Any) -> dict[str, nn.Module]:
@@ -60,7 +64,8 @@ class Recipe:
         make_policy: from options and environment, actor and critic.
         make_modules: from options, what a checkpoint holds besides the networks, such as the movement primitive.
         fit: fits the modules before training, in place.
-        has_tank: whether the chain has an energy tank with the options ``p_max`` and ``e_max``.
+        has_tank: whether the chain has an energy tank with the options ``p_max`` and ``e_max``, which writes
+            ``tank_energy`` and ``valve``.
         has_reference: whether an action of zero is a policy of its own, the reference alone.
         trace: observations of this chain to record besides those of the task and the tank.
         episode_keys: observations ``(*B, 1)`` at the end of an episode to keep for each, besides those of the task.
@@ -97,7 +102,7 @@ class Recipe:
     @property
     def traced(self) -> tuple[str, ...]:
         """Observations to record at every control step."""
-        tank = ("tank_energy", "valve") if self.has_tank else ()
+        tank = _TANK if self.has_tank else ()
         return (*self.task.pictures.configuration, *self.task.pictures.trace, *tank, *self.trace)
 
     def on(self, base: ArmEnv, config: Any, modules: Mapping[str, nn.Module]) -> TransformedEnv:
@@ -113,7 +118,15 @@ class Recipe:
         """
         for module in modules.values():
             module.to(base.device)
-        return TransformedEnv(base, Compose(*self.make_chain(config, base, **modules)).to(base.device))
+        env = TransformedEnv(base, Compose(*self.make_chain(config, base, **modules)).to(base.device))
+        lacking = [key for key in _TANK if self.has_tank and key not in env.observation_spec.keys()]
+        if lacking:
+            raise ValueError(
+                f"the recipe {self.variant} has_tank=True, but its chain writes no {lacking}; expected an "
+                f"EnergyTankTransform with the usual out_keys {_TANK}, which films and reports read. Where the only "
+                "tank stands at the motors, leave its out_keys as they are."
+            )
+        return env
 
     def make_env(
         self,
@@ -157,6 +170,7 @@ class Recipe:
         modules = self.make_modules(config)
         self.fit(config, **modules)
         base = self.task.make_training_env(config, num_envs=config.num_envs, seed=config.seed, audit=False)
+        self._advise(config, base)
         env = self.on(base, config, modules)
         policy = self.make_policy(config, env)
         constraint = None if self.make_constraint is None else self.make_constraint(config, env)
@@ -165,6 +179,16 @@ class Recipe:
             config, env, learners, policy_steps=config.batch_steps, identity=self.identity,
             validation=self._validation(config, modules, learners.actor),
         )  # fmt: skip
+
+    def _advise(self, config: Any, base: ArmEnv) -> None:
+        """Warn of an episode that is decided once, and whose end by the horizon is not the end for the critic."""
+        if config.batch_steps == 1 and not base.horizon_terminates:
+            warnings.warn(
+                f"a batch of {self.variant} has one decision of each environment, and {type(base).__name__} has "
+                "horizon_terminates=False, so the critic's guess of what comes after the horizon is added to every "
+                "return. Set horizon_terminates = True in the environment where an episode is one decision.",
+                stacklevel=2,
+            )
 
     def _validation(self, config: Any, modules: Mapping[str, nn.Module], actor: nn.Module) -> Validation | None:
         """Validation in episodes of the test, the same ones every time."""
@@ -189,7 +213,11 @@ class Recipe:
             args: command line; None takes that of the process.
             prog: name of the program in its help; None takes that of the process.
         """
-        run_script(self.train, self.config, args, prog, self._defaults)
+        run_script(self._train_and_tell, self.config, args, prog, self._defaults)
+
+    def _train_and_tell(self, config: Any) -> None:
+        checkpoint = self.train(config)
+        tell(f"The policy is in {checkpoint}. ppt-rl evaluate {config.run_dir} judges it.")
 
     def _defaults(self, args: Sequence[str]) -> Any:
         """Options of the run that a command line goes on with, or of the preset that it names."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import warnings
 from pathlib import Path
 
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
-from ppt_rl.evaluation import evaluate, find_recipe, load_policy
+from ppt_rl.evaluation import evaluate, find_recipe, load_policy, record_episodes
+from ppt_rl.tasks import motor_tank
 from ppt_rl.training import with_settings
 
 FILE = Path(__file__).resolve().parents[2] / "examples" / "reach" / "ppo_ppt_reach.py"
@@ -71,3 +74,25 @@ def test_it_trains_and_is_judged_through_the_same_commands(recipe, tmp_path):
     judged = evaluate(policy, episodes=2, num_envs=2, seed=1, baselines=True).as_json()
     assert set(judged["baselines"]) == {"reference alone"}
     assert set(judged["success"]) == {"mean", "ci95"}
+    recorded = record_episodes(policy.make_env(2, seed=1), policy.actor, policy.recipe.traced)  # what a film shows
+    assert recorded["trace", "tank_energy"].shape == (2, 30, 1)
+
+
+def test_a_recipe_with_a_tank_that_films_cannot_find_is_refused_before_it_is_trained(recipe, tmp_path):
+    def make_chain(config, base, promp):
+        chain = recipe.make_chain(config, base, promp)
+        return [motor_tank(config.p_max, config.e_max), *chain[1:]]
+
+    other = dataclasses.replace(recipe, make_chain=make_chain)
+    with pytest.raises(ValueError, match=r"has_tank=True, but its chain writes no \['tank_energy', 'valve'\]"):
+        other.train(recipe.config(num_envs=2, num_threads=1, run_dir=tmp_path / "run"))
+
+
+def test_a_warning_says_where_the_end_of_an_only_decision_is_not_the_end_for_the_critic(recipe, env, monkeypatch):
+    config = recipe.config(num_threads=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        recipe._advise(config, env)
+    monkeypatch.setattr(type(env), "horizon_terminates", False)
+    with pytest.warns(UserWarning, match=r"ReachEnv has horizon_terminates=False.*Set horizon_terminates = True"):
+        recipe._advise(config, env)
