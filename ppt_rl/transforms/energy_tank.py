@@ -95,7 +95,7 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform, TankAccountTransf
         inertia: what the effort accelerates, for a law that reads it: a number for each axis or a matrix, a lower bound
             of the true one [kg, kg m^2]; or, for joint torque, the arm's kinematics, which compute its matrix from
             ``joint_position`` at every step (without its tool, so it is a lower bound too). ``"rate"`` and ``"impact"``
-            need it, ``"passive"`` and ``"parallel"`` are passive in the closed loop only with it.
+            need it, and without it ``"passive"`` and ``"parallel"`` are not passive in the closed loop.
         effort_key: the action: a wrench [N, N m] or joint torque [N m].
         flow_key: the observed velocity that it works on; None takes ``twist`` or ``joint_velocity``, whichever has the
             action's size. Where both have it, as with an arm of six joints, say which.
