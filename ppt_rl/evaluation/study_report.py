@@ -79,16 +79,24 @@ def write_report(runs: Sequence[KeptRun], directory: Path) -> None:
     _draw(groups, pooled, directory)
 
 
+def _budget(groups: Groups) -> str:
+    """Control steps of a training; by variant, where they differ."""
+    steps = {label: part[0].config().ppo.total_control_steps for label, part in groups.items()}
+    if len(set(steps.values())) == 1:
+        return f"{next(iter(steps.values())):,}"
+    return ", ".join(f"{number:,} ({label})" for label, number in steps.items())
+
+
 def _head(groups: Groups) -> str:
     """How many runs, how long they trained and how they were judged."""
-    run = next(iter(groups.values()))[0]
-    record, config = run.evaluation(), run.config()
+    first = next(iter(groups.values()))[0]
+    record = first.evaluation()
     seeds = ", ".join(f"{label} {len(part)}" for label, part in groups.items())
     where = "" if record["groups"] == [ALL] else f" in each group ({', '.join(record['groups'])})"
     return (
-        f"Seeds: {seeds}. Each run trained {config.ppo.total_control_steps:,} control steps and was then judged in "
+        f"Seeds: {seeds}. Each run trained {_budget(groups)} control steps and was then judged in "
         f"{record['episodes']} fresh episodes{where}, the same for all (seed {listed_seeds(record['eval_seed'])}), "
-        f"deterministically and without privileged observations. {run.recipe.task.report.note}"
+        f"deterministically and without privileged observations. {first.recipe.task.report.note}"
     ).rstrip()
 
 

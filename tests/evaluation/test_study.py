@@ -4,6 +4,7 @@ import gzip
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from ppt_rl.envs.mujoco_imports import rendering_backend
 from ppt_rl.evaluation import COLUMNS, Study, find_recipes, load_policy, run_study
 from ppt_rl.evaluation.runs import KeptRun
+from ppt_rl.evaluation.study_report import _budget
 
 SETTINGS = {
     "num_envs": "4", "num_threads": "1", "duration": "0.2", "physics_dt": "0.002", "ppo.total_control_steps": "240",
@@ -119,6 +121,13 @@ def test_a_published_policy_acts_like_the_run_it_comes_from(finished):
     policies = [load_policy(run.run_dir), load_policy(finished.publish / "ppt_push")]
     actions = [policy.actor(policy.make_env(num_envs=2, seed=3).reset())["loc"] for policy in policies]
     assert bool((actions[0] == actions[1]).all())
+
+
+def test_a_report_says_how_long_each_variant_trained_where_that_differs(finished, tmp_path):
+    one, other = (run for run in finished.planned() if run.recipe.variant in ("pp_push", "s_push"))
+    assert _budget({"PP": [one], "S": [other]}) == "240"
+    longer = SimpleNamespace(config=lambda: SimpleNamespace(ppo=SimpleNamespace(total_control_steps=24_000)))
+    assert _budget({"PP": [one], "S": [longer]}) == "240 (PP), 24,000 (S)"
 
 
 def test_a_report_needs_a_finished_run(tmp_path):
