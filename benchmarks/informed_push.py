@@ -1,8 +1,8 @@
 """What knowing the hidden would be worth: PPT on box pushing, told at every decision what is drawn and not observed.
 
 The policy reads the box's mass, friction, centre of mass and true place besides what every policy reads. No robot knows
-that, so this is an upper bound: what it gains over PPT with the same options is the most that touch can find out, and
-where it gains nothing there is nothing to find out. It is a recipe in a file of its own, so
+that. What it gains over PPT with the same options and training says how much is to be gained by finding it out, by
+touch for example. It is a recipe in a file of its own, so
 
 ``ppt-rl train benchmarks/informed_push.py --randomisation.com -0.015 0.015 --run-dir runs/informed``, then
 ``ppt-rl evaluate runs/informed``.
