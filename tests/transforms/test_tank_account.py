@@ -83,15 +83,17 @@ def test_the_price_of_the_law_stands_where_it_is_the_larger_one():
     torch.testing.assert_close(paid[1], torch.maximum(paid[0], delivered), rtol=1e-4, atol=1e-6)
 
 
-def test_a_row_that_does_not_step_or_that_resets_keeps_or_loses_its_debt_alone():
-    env = TransformedEnv(MockArmEnv((2,), horizons=(12,)), settled(e_max=1e-3))
+@pytest.mark.parametrize("honours_step", [True, False])
+def test_a_row_that_does_not_step_or_that_resets_keeps_or_loses_its_debt_alone(honours_step):
+    base = MockArmEnv((2,), horizons=(12,), honours_step=honours_step)
+    env = TransformedEnv(base, settled(e_max=1e-3))
     td, generator = env.reset(), torch.Generator().manual_seed(0)
     for _ in range(6):
         td = env._step_mdp(env.step(td.set("action", 5.0 * torch.randn(2, 7, generator=generator))))
     debt = td["tank_energy_debt"].clone()
     assert (debt > 0).all()
     td["_step"] = torch.tensor([True, False])
-    td = env._step_mdp(env.step(td.set("action", torch.ones(2, 7))))
+    td = env._step_mdp(env.step(td.set("action", -50 * td["joint_velocity"].sign())))
     assert td["tank_energy_debt"][1] == debt[1]
     td = env.reset(td.exclude("_step").set("_reset", torch.tensor([[False], [True]])))
     assert td["tank_energy_debt"][1] == 0.0
