@@ -173,8 +173,9 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform, TankAccountTransf
     @property
     def _readings(self) -> tuple[NestedKey, ...]:
         flows = _FLOWS if self.flow_key is None else (self.flow_key,)
-        positions = {"joint_position": self.kinematics is not None, self.position_key: self.position_key is not None}
-        return (*flows, *(key for key, is_read in positions.items() if is_read))
+        configuration = () if self.kinematics is None else ("joint_position",)
+        settled = () if self.position_key in (None, *configuration) else (self.position_key,)
+        return (*flows, *configuration, *settled)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         (effort,) = self._require(tensordict, self.action_key)

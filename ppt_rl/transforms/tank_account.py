@@ -25,7 +25,8 @@ class TankAccountTransform(ActionTransform):
         D &= \max\big(0,\ \mathrm{effort} \cdot (q' - q) - (E - E_{law})\big) \\
         E' - B' &= E_{law} - D - B, \qquad E' \ge 0,\ B' \ge 0,\ E' B' = 0
 
-    Hence over an episode ``sum effort . (q' - q) <= E_0 - E + B``, up to the rounding of the positions.
+    Hence over an episode ``sum effort . (q' - q) <= E_0 - E + B``, up to the rounding of the positions. Without an
+    environment nothing is settled.
 
     A subclass sets the attributes below, takes the level from :meth:`_level` and the effort to :meth:`_hold` on the way
     in, and calls :meth:`_settle` after a step.

@@ -50,7 +50,7 @@ def test_an_attack_gets_no_more_executed_than_the_tank_allows(name):
 @pytest.mark.parametrize(("mode", "most"), [("passive", 1.0), ("parallel", 1.0), ("rate", 1.002), ("impact", 1.002)])
 def test_what_an_attack_gets_delivered_in_the_closed_loop_stays_below_what_was_in_the_tank(mode, most, name):
     run = attacks.Config(steps=1600, num_envs=16, threads=1, p_max=1.0, e_max=0.8, mode=mode)
-    assert attacks.attack(name, run)["net_energy"] <= most  # only an account that is settled sees Coriolis forces
+    assert attacks.attack(name, run)["net_energy"] <= most  # only a settled account sees all
 
 
 @pytest.mark.parametrize("mode", ["passive", "parallel"])
