@@ -10,6 +10,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.objectives.value import GAE
 
+from ppt_rl.training.shards import Shards
+
 __all__ = ["AdvantageEstimator"]
 
 
@@ -29,6 +31,7 @@ class AdvantageEstimator:
         critic: value network.
         gamma: discount per control step [-].
         gae_lambda: lambda [-].
+        shards: spreads the evaluation of many states over the CPUs; None keeps it in this thread.
         **keys: where reward and value are read, and advantage and value target written, as for
             :meth:`torchrl.objectives.value.GAE.set_keys`.
 
@@ -36,8 +39,16 @@ class AdvantageEstimator:
         Schulman et al., "High-dimensional continuous control using generalized advantage estimation" (2016).
     """
 
-    def __init__(self, critic: TensorDictModuleBase, gamma: float, gae_lambda: float, **keys: Any) -> None:
-        self.critic = critic
+    def __init__(
+        self,
+        critic: TensorDictModuleBase,
+        gamma: float,
+        gae_lambda: float,
+        *,
+        shards: Shards | None = None,
+        **keys: Any,
+    ) -> None:
+        self.critic, self._shards = critic, shards or Shards(1)
         self._gae = GAE(gamma=gamma, lmbda=gae_lambda, value_network=None, average_gae=False, vectorized=False)
         self._gae.set_keys(steps_to_next_obs=("next", "control_steps"), **keys)
 
@@ -66,4 +77,11 @@ class AdvantageEstimator:
         return self._gae(batch, time_dim=batch.ndim - 1)
 
     def _value(self, states: TensorDictBase) -> Tensor:
-        return self.critic(states)[self._gae.tensor_keys.value]
+        """``(n, 1)`` values of ``(n,)`` states."""
+
+        def value(part: Tensor) -> Tensor:
+            with torch.no_grad():  # each thread has a mode of its own
+                return self.critic(states[part])[self._gae.tensor_keys.value]
+
+        device = next(iter(states.values(True, True))).device
+        return torch.cat(self._shards(value, torch.arange(len(states), device=device)))

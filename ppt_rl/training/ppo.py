@@ -93,11 +93,11 @@ class Learner:
         self, actor: ProbabilisticActor, critic: nn.Module, config: PPOConfig, threads: int | None = None
     ) -> None:
         self.actor, self.critic, self.config = actor, critic, config
+        self._shards = Shards(threads)
         self.advantage = self._estimator(critic)
         self.objective = Objective(actor, self._values(), clip=config.clip, entropy=config.entropy)
         self.optimizer = torch.optim.Adam(self.objective.parameters, lr=config.learning_rate, eps=1e-5, fused=True)
         self.schedule = KLAdaptiveLR(self.optimizer, config.target_kl, max_lr=config.max_learning_rate)
-        self._shards = Shards(threads)
 
     @property
     def networks(self) -> dict[str, nn.Module]:
@@ -114,7 +114,7 @@ class Learner:
 
     def _estimator(self, critic: nn.Module, **keys: Any) -> AdvantageEstimator:
         """An estimator of advantages; it reads and writes the usual entries, but for those that are named."""
-        return AdvantageEstimator(critic, self.config.gamma, self.config.gae_lambda, **keys)
+        return AdvantageEstimator(critic, self.config.gamma, self.config.gae_lambda, shards=self._shards, **keys)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Improve actor and critic on one batch; stop early once the policy has moved far enough.
@@ -132,10 +132,10 @@ class Learner:
             return self._improve(self._with_advantage(batch))
 
     def _improve(self, batch: TensorDictBase) -> dict[str, float]:
-        config, steps = self.config, []
+        config, steps, read = self.config, [], batch.select(*self.objective.in_keys)
         for _ in range(config.epochs):
             minibatches = torch.randperm(len(batch)).to(batch["advantage"].device).chunk(config.minibatches)
-            scaled = batch.copy().set("advantage", _standardised_in(batch["advantage"], minibatches))
+            scaled = read.copy().set("advantage", _standardised_in(batch["advantage"], minibatches))
             steps += [self._step(scaled, rows) for rows in minibatches]
             self._require_finite_steps(steps[-len(minibatches) :])
             self._require_finite_networks()

@@ -7,6 +7,7 @@ from torchrl.objectives.value import GAE
 
 from ppt_rl.modules import make_critic
 from ppt_rl.training.advantage import AdvantageEstimator
+from ppt_rl.training.shards import Shards
 
 
 def steps(shape, ends, seed=0):
@@ -54,6 +55,18 @@ def test_only_the_ends_of_episodes_that_are_cut_off_are_evaluated_for_themselves
     cut = batch["next", "done"].clone()
     cut[:, -1] = True
     assert seen == [120, int((cut & ~batch["next", "terminated"]).sum())]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_many_states_are_evaluated_in_parts_without_a_graph(threads):
+    critic, batch = make_critic(["observation"], 3), steps((40, 100), 0.05)
+    seen = []
+    critic.register_forward_hook(lambda module, args, found: seen.append((len(found), found["state_value"].grad_fn)))
+    found = AdvantageEstimator(critic, 0.9, 0.9, shards=Shards(threads))(batch.clone())
+    assert [graph for _, graph in seen] == [None] * len(seen)
+    assert sorted(rows for rows, _ in seen)[-4:] == [1000] * 4
+    with torch.no_grad():
+        torch.testing.assert_close(found["state_value"], critic(batch.clone())["state_value"])
 
 
 def test_other_keys_are_read_and_written_on_demand():
