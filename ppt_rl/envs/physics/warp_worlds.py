@@ -87,6 +87,9 @@ class Worlds:
         with self.on_stream():
             self._model = self._mjw.put_model(model, batch_sizes=dict.fromkeys(sorted(fields), num_worlds))
             self._model.opt.warn_overflow = False  # an overflow is an event of its world, not a message
+            if not model.dof_damping.any() and "dof_damping" not in written:
+                # MuJoCo leaves the implicit damping out where there is none. Warp solves for it in every step.
+                self._model.opt.disableflags |= int(self._mjw.DisableBit.EULERDAMP)
             self._data = self._mjw.make_data(model, nworld=num_worlds, nconmax=_SPARE * contacts, njmax=rows)
         data, view = self._data, self._wp.to_torch
         self.state = [view(value) for value in (data.time, data.qpos, data.qvel, data.qacc_warmstart)]

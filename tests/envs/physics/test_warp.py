@@ -96,6 +96,18 @@ def test_a_reset_and_one_substep_agree_with_mujoco_to_a_hundred_thousandth():
     assert difference(after[:, speeds], expected[:, speeds]) < 1e-5
 
 
+@pytest.mark.parametrize("damping", [0.0, 20.0], ids=["undamped", "damped"])
+def test_joints_with_and_without_damping_move_as_mujoco_moves_them(damping):
+    damped = model()
+    damped.dof_damping[:7] = damping
+    ours, theirs = WarpPhysics(damped, 4, 20, CPU, written=WRITTEN), ThreadedPhysics(damped, 4, 20, 1)
+    begun(ours, 0.2), begun(theirs, 0.2)
+    (control,) = controls(4, 1, share=0.5)
+    speeds = slice(7, 14)  # of the joints
+    after, expected = (engine.step(control).sensors[:, -1, speeds] for engine in (ours, theirs))
+    assert difference(after, expected) < 1e-4
+
+
 def test_what_follows_from_a_written_parameter_is_that_of_mujoco():
     ours, theirs = warp(), ThreadedPhysics(model(), 4, 1, 1)
     begun(theirs)
