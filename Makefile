@@ -19,7 +19,7 @@ push: $(VENV)/.installed
 
 # Compare the four pushing variants of the paper over five seeds (hours; run it again to continue): results/push.
 study: $(VENV)/.installed
-	$(PPT_RL) study push --seeds 5 --episodes 512 --publish pretrained
+	$(PPT_RL) study push --seeds 5 --episodes 512 --eval-seed 50000 60000 --publish pretrained
 
 # Run the tests.
 test: $(VENV)/.installed
