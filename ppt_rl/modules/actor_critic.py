@@ -74,8 +74,8 @@ class InputNorm(nn.Module):
         Returns:
             ``(*B, sum n_i)`` standardised features.
         """
-        x = torch.cat(inputs, -1)
-        return ((x - self.loc) / self.scale).clamp(-self.limit, self.limit)
+        x = torch.cat(inputs, -1)  # a copy, so that what follows may write into it
+        return x.sub_(self.loc).div_(self.scale).clamp_(-self.limit, self.limit)
 
 
 class Mirror(NamedTuple):
@@ -99,7 +99,10 @@ class _Network(nn.Module):
     def __init__(self, in_size: int, out_size: int, head: nn.Module, mirror: Mirror | None = None) -> None:
         super().__init__()
         self.norm = InputNorm(in_size)
-        self.mlp = MLP(in_features=in_size, out_features=out_size, num_cells=list(HIDDEN), activation_class=nn.ReLU)
+        self.mlp = MLP(
+            in_features=in_size, out_features=out_size, num_cells=list(HIDDEN), activation_class=nn.ReLU,
+            activation_kwargs={"inplace": True},
+        )  # fmt: skip
         self.head = head
         for name, size, signs in zip(("in", "out"), (in_size, out_size), mirror or (None, None), strict=True):
             if signs is not None and (len(signs) != size or any(sign not in (1, -1) for sign in signs)):
@@ -110,9 +113,9 @@ class _Network(nn.Module):
             self.register_buffer(f"mirrored_{name}", factors, persistent=False)
 
     def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
-        x = torch.cat(inputs, -1)
-        y = self.mlp(self.norm(x))
+        y = self.mlp(self.norm(*inputs))
         if self.mirrored_in is not None:
+            x = torch.cat(inputs, -1)
             y = 0.5 * (y + self.mirrored_out * self.mlp(self.norm(self.mirrored_in * x)))
         return self.head(y)
 

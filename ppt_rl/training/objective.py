@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from tensordict import TensorDictBase
@@ -14,17 +15,44 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 from torchrl.modules import ProbabilisticActor
 
-__all__ = ["Objective", "ValueLoss", "gaussian_divergence", "standardised", "summed"]
+__all__ = [
+    "Loss",
+    "Objective",
+    "PolicyLoss",
+    "ValueLoss",
+    "added",
+    "gaussian_divergence",
+    "standardised",
+    "summed",
+]
 
 _HALF_LOG_TAU = 0.5 * math.log(2 * math.pi)
 
 
+class Loss(Protocol):
+    """A part of the objective, from which one network learns; no other part has a gradient for its parameters."""
+
+    @property
+    def network(self) -> TensorDictModuleBase:
+        """The network that learns."""
+        ...
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """Entries that the loss reads."""
+        ...
+
+    def __call__(self, rows: TensorDictBase) -> dict[str, Tensor]:
+        """Scalars by name, each the mean over some rows."""
+        ...
+
+
 @dataclass(frozen=True)
 class ValueLoss:
-    """A value network, and what it learns.
+    """The smooth L1 distance of a value network's prediction to its target.
 
     Attributes:
-        name: of its loss.
+        name: of the loss.
         network: writes ``value_key``.
         value_key: its prediction.
         target_key: what it should predict.
@@ -35,20 +63,33 @@ class ValueLoss:
     value_key: NestedKey = "state_value"
     target_key: NestedKey = "value_target"
 
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """Entries that the loss reads."""
+        return [*self.network.in_keys, self.target_key]
 
-class Objective:
-    r"""Losses of PPO with a clipped ratio for a Gaussian policy.
+    def __call__(self, rows: TensorDictBase) -> dict[str, Tensor]:
+        """The loss by its name.
+
+        Args:
+            rows: ``(n,)`` rows with ``in_keys``.
+
+        Returns:
+            A scalar, the mean over the rows.
+        """
+        found = self.network(rows.select(*self.network.in_keys)).get(self.value_key)
+        return {self.name: smooth_l1_loss(found, rows.get(self.target_key))}
+
+
+class PolicyLoss:
+    r"""PPO's clipped objective for a Gaussian policy, and its entropy bonus.
 
     .. math::
         L = -\frac1n \sum_i \min\big(\rho_i A_i,\ \mathrm{clip}(\rho_i, 1 - \epsilon, 1 + \epsilon) A_i\big), \qquad
         \rho_i = \frac{\pi(a_i | s_i)}{\pi_{old}(a_i | s_i)}
 
-    and for every value network the smooth L1 distance to its target, and the entropy with its weight. These are the
-    losses of :class:`torchrl.objectives.ClipPPOLoss`, to rounding, without its figures for a log.
-
     Args:
-        actor: policy; the deterministic part writes ``loc`` and ``scale``.
-        values: value networks and what they learn.
+        network: policy; the deterministic part writes ``loc`` and ``scale``.
         clip: epsilon [-].
         entropy: weight of the entropy bonus; zero leaves it out.
 
@@ -56,25 +97,21 @@ class Objective:
         Schulman et al., "Proximal policy optimization algorithms" (2017).
     """
 
-    def __init__(self, actor: ProbabilisticActor, values: Sequence[ValueLoss], *, clip: float, entropy: float) -> None:
-        self.actor, self.values, self.entropy = actor, list(values), entropy
+    def __init__(self, network: ProbabilisticActor, *, clip: float, entropy: float) -> None:
+        self.network, self.entropy = network, entropy
         self._bounds = math.log1p(-clip) if clip < 1 else -math.inf, math.log1p(clip)
-        (self._action_key,), (self._log_prob_key,) = actor.dist_sample_keys, actor.log_prob_keys
-        networks = [actor, *(value.network for value in self.values)]
-        self.parameters: list[nn.Parameter] = [each for network in networks for each in network.parameters()]
-        keys = [key for network in [actor.det_part, *networks[1:]] for key in network.in_keys]
-        keys += [self._action_key, self._log_prob_key, "advantage", *(value.target_key for value in self.values)]
-        #: Entries that the losses read.
-        self.in_keys: list[NestedKey] = list(dict.fromkeys(keys))
+        (self._action_key,), (self._log_prob_key,) = network.dist_sample_keys, network.log_prob_keys
+        #: Entries that the loss reads; the advantage is taken as it is.
+        self.in_keys: list[NestedKey] = [*network.det_part.in_keys, self._action_key, self._log_prob_key, "advantage"]
 
     def __call__(self, rows: TensorDictBase) -> dict[str, Tensor]:
-        """Losses by name, each the mean over some rows.
+        """``loss_objective`` and, with a weight, ``loss_entropy``.
 
         Args:
-            rows: ``(n,)`` rows with ``in_keys``; their advantages are taken as they are.
+            rows: ``(n,)`` rows with ``in_keys``.
 
         Returns:
-            Scalars: ``loss_objective``, one of each value network and, with a weight, ``loss_entropy``.
+            Scalars, each the mean over the rows.
         """
         loc, scale = self.moments(rows)
         action, advantage = rows.get(self._action_key), rows.get("advantage").squeeze(-1)
@@ -82,9 +119,6 @@ class Objective:
         log_ratio = log_prob - rows.get(self._log_prob_key)
         gain = torch.minimum(log_ratio.exp() * advantage, log_ratio.clamp(*self._bounds).exp() * advantage)
         losses = {"loss_objective": -gain.mean()}
-        for value in self.values:
-            found = value.network(rows.select(*value.network.in_keys)).get(value.value_key)
-            losses[value.name] = smooth_l1_loss(found, rows.get(value.target_key))
         if self.entropy > 0:
             losses["loss_entropy"] = -self.entropy * (0.5 + _HALF_LOG_TAU + scale.log()).sum(-1).mean()
         return losses
@@ -98,26 +132,53 @@ class Objective:
         Returns:
             Both.
         """
-        network = self.actor.det_part
+        network = self.network.det_part
         found = network(rows.select(*network.in_keys))
         return found.get("loc"), found.get("scale")
 
-    def gradients(self, rows: TensorDictBase, share: float = 1.0) -> tuple[dict[str, Tensor], list[Tensor | None]]:
+
+class Objective:
+    """The losses of PPO: that of the policy and one for each value network.
+
+    Together they are those of :class:`torchrl.objectives.ClipPPOLoss`, to rounding, without its figures for a log.
+    Networks share no parameter, so each loss can be differentiated by itself.
+
+    Args:
+        actor: policy; the deterministic part writes ``loc`` and ``scale``.
+        values: value networks and what they learn.
+        clip: epsilon of the clipped objective [-].
+        entropy: weight of the entropy bonus; zero leaves it out.
+    """
+
+    def __init__(self, actor: ProbabilisticActor, values: Sequence[ValueLoss], *, clip: float, entropy: float) -> None:
+        self.policy = PolicyLoss(actor, clip=clip, entropy=entropy)
+        #: The losses, that of the policy first.
+        self.losses: list[Loss] = [self.policy, *values]
+        self.parameters: list[nn.Parameter] = [each for loss in self.losses for each in loss.network.parameters()]
+        #: Entries that the losses read.
+        self.in_keys: list[NestedKey] = list(dict.fromkeys(key for loss in self.losses for key in loss.in_keys))
+
+    def gradients(
+        self, rows: TensorDictBase, share: float = 1.0, losses: Sequence[Loss] | None = None
+    ) -> tuple[dict[str, Tensor], list[Tensor | None]]:
         """Losses and the gradients of their sum.
 
         Args:
-            rows: as for a call.
+            rows: ``(n,)`` rows with what the losses read; their advantages are taken as they are.
             share: of these rows in all rows of the step, a factor on both.
+            losses: those that are wanted; None takes them all.
 
         Returns:
-            Losses by name, and a gradient for each of ``parameters``, None where it has no influence.
+            Scalars by name, and a gradient for each of ``parameters``, None where it has no influence.
         """
-        losses = {name: loss if share == 1.0 else share * loss for name, loss in self(rows).items()}
+        found = {name: value for loss in losses or self.losses for name, value in loss(rows).items()}
+        if share != 1.0:
+            found = {name: share * value for name, value in found.items()}
         learning = [each for each in self.parameters if each.requires_grad]
-        total = torch.stack(list(losses.values())).sum()
-        found = iter(torch.autograd.grad(total, learning, allow_unused=True))
-        gradients = [next(found) if each.requires_grad else None for each in self.parameters]
-        return {name: loss.detach() for name, loss in losses.items()}, gradients
+        total = torch.stack(list(found.values())).sum()
+        of_total = iter(torch.autograd.grad(total, learning, allow_unused=True))
+        gradients = [next(of_total) if each.requires_grad else None for each in self.parameters]
+        return {name: value.detach() for name, value in found.items()}, gradients
 
 
 def standardised(advantage: Tensor) -> Tensor:
@@ -155,10 +216,25 @@ def summed(losses: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
     """Sums by name.
 
     Args:
-        losses: scalars by name, the same names in each.
+        losses: scalars by name.
 
     Returns:
-        Scalars by name.
+        For each name the sum over those that have it.
     """
-    first, *others = losses
-    return {name: sum((other[name] for other in others), loss) for name, loss in first.items()}
+    total: dict[str, Tensor] = {}
+    for part in losses:
+        total |= {name: total[name] + value if name in total else value for name, value in part.items()}
+    return total
+
+
+def added(parts: Sequence[Tensor | None]) -> Tensor | None:
+    """The sum of the parts of a gradient.
+
+    Args:
+        parts: of one parameter; None has no influence.
+
+    Returns:
+        Their sum; None where no part has an influence.
+    """
+    there = [part for part in parts if part is not None]
+    return sum(there[1:], there[0]) if there else None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import torch
@@ -16,13 +17,15 @@ from torchrl.objectives import KLAdaptiveLR
 from ppt_rl.functional.checks import Bounds, is_readable, require_bounds
 from ppt_rl.training.advantage import AdvantageEstimator
 from ppt_rl.training.finite import TrainingDiverged, first_not_finite, require_finite_update
-from ppt_rl.training.objective import Objective, ValueLoss, gaussian_divergence, standardised, summed
+from ppt_rl.training.objective import Loss, Objective, ValueLoss, added, gaussian_divergence, standardised, summed
 from ppt_rl.training.shards import Shards
 
 __all__ = ["Learner", "PPOConfig"]
 
 #: Most rows of which the divergence after a pass is computed.
-_JUDGED = 2048
+_JUDGED = 1024
+#: Losses by name, and the gradients of their sum.
+Gradients = tuple[dict[str, Tensor], list[Tensor | None]]
 
 
 @dataclass(frozen=True)
@@ -132,14 +135,15 @@ class Learner:
             return self._improve(self._with_advantage(batch))
 
     def _improve(self, batch: TensorDictBase) -> dict[str, float]:
-        config, steps, read = self.config, [], batch.select(*self.objective.in_keys)
+        config, steps, judged = self.config, [], self._judged(batch)
+        read = batch.select(*self.objective.in_keys)
         for _ in range(config.epochs):
             minibatches = torch.randperm(len(batch)).to(batch["advantage"].device).chunk(config.minibatches)
             scaled = read.copy().set("advantage", _standardised_in(batch["advantage"], minibatches))
             steps += [self._step(scaled, rows) for rows in minibatches]
             self._require_finite_steps(steps[-len(minibatches) :])
             self._require_finite_networks()
-            divergence = self._divergence(batch)
+            divergence = self._divergence(judged)
             require_finite_update(divergence=divergence)
             self.schedule.step(divergence)
             if divergence > 2 * config.target_kl:
@@ -151,10 +155,10 @@ class Learner:
 
     def _step(self, batch: TensorDictBase, rows: Tensor) -> dict[str, Tensor]:
         """One step of the optimizer; returns its losses and the norm of its gradient."""
-        found = self._shards(lambda part: self.objective.gradients(batch[part], len(part) / len(rows)), rows)
+        found = self._shards.run(self._tasks(batch, rows))
         losses = summed([losses for losses, _ in found])
         for parameter, *parts in zip(self.objective.parameters, *(each for _, each in found), strict=True):
-            parameter.grad = None if parts[0] is None else sum(parts[1:], parts[0])
+            parameter.grad = added(parts)
         norms = [nn.utils.clip_grad_norm_(group, self.config.max_grad_norm) for group in self._clipped()]
         losses["gradient"] = torch.stack(norms).sum()
         if is_readable(losses["gradient"]):
@@ -163,6 +167,18 @@ class Learner:
             vars(self.optimizer)["found_inf"] = 1.0 - torch.stack(list(losses.values())).sum().isfinite().float()
         self.optimizer.step()
         return losses
+
+    def _tasks(self, batch: TensorDictBase, rows: Tensor) -> list[Callable[[], Gradients]]:
+        """What a step computes: a few rows at once, many of them for each loss by itself, in fewer and larger parts."""
+        losses, parts = self.objective.losses, self._shards.parts(rows)
+        if len(parts) == 1:  # a few rows, or a GPU, which does one thing after the other
+            return [lambda: self.objective.gradients(batch[rows])]
+
+        def task(loss: Loss, part: Tensor) -> Gradients:
+            return self.objective.gradients(batch.select(*loss.in_keys)[part], len(part) / len(rows), [loss])
+
+        parts = rows.tensor_split(len(parts) // math.gcd(len(parts), len(losses)))
+        return [partial(task, loss, part) for loss in losses for part in parts]
 
     def _clipped(self) -> list[list[nn.Parameter]]:
         """Groups of parameters, of which each has a bound on the norm of its gradient."""
@@ -186,22 +202,29 @@ class Learner:
         batch = self.advantage(batch.copy().set("next", batch["next"].copy()))
         return batch.select("loc", "scale", *self.objective.in_keys, strict=False).reshape(-1)
 
+    def _judged(self, batch: TensorDictBase) -> TensorDictBase:
+        """The rows that stand for a batch in the divergence after each pass, taken at equal distances.
+
+        The mean divergence of a thousand rows is known to a few percent. To evaluate the policy on all of them after
+        each pass would take a sixth of the update.
+        """
+        keys = ("loc", "scale", *self.objective.policy.network.det_part.in_keys)
+        return batch.select(*keys)[:: math.ceil(len(batch) / _JUDGED)].contiguous()
+
     @torch.no_grad()
-    def _divergence(self, batch: TensorDictBase) -> Tensor:
+    def _divergence(self, judged: TensorDictBase) -> Tensor:
         """Mean KL divergence from the policy that acted to the present one, exact for Gaussians.
 
-        A sample mean of a hundred actions has a noise that is larger than the target. Of a batch of more than 2,048
-        rows, that many stand for all, taken at equal distances: the mean of so many is known to a few percent, and to
-        evaluate the policy on all of them after each pass would take a sixth of the update.
+        A sample mean of a hundred actions has a noise that is larger than the target.
         """
 
-        def divergence(part: Tensor) -> Tensor:
+        def divergence(part: TensorDictBase) -> Tensor:
             with torch.no_grad():  # each thread has a mode of its own
-                rows = batch[part]
-                return gaussian_divergence((rows["loc"], rows["scale"]), self.objective.moments(rows)).sum()
+                new = self.objective.policy.moments(part)
+                return gaussian_divergence((part["loc"], part["scale"]), new).sum()
 
-        rows = torch.arange(0, len(batch), math.ceil(len(batch) / _JUDGED), device=batch["loc"].device)
-        return torch.stack(self._shards(divergence, rows)).sum() / len(rows)
+        parts = judged.split(_JUDGED // 2) if is_readable(judged["loc"]) else [judged]
+        return torch.stack(self._shards.run([partial(divergence, part) for part in parts])).sum() / len(judged)
 
 
 def _standardised_in(advantage: Tensor, minibatches: Sequence[Tensor]) -> Tensor:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import TypeVar
 
 import torch
@@ -39,20 +40,40 @@ class Shards:
 
         Args:
             work: of the indices of a part.
-            rows: ``(n,)`` indices. On a GPU they are one part.
+            rows: ``(n,)`` indices.
 
         Returns:
             What it returned for each part, in their order.
         """
-        count = max(1, round(len(rows) / _ROWS)) if rows.device.type == "cpu" else 1
-        parts = rows.tensor_split(count)
-        threads = min(self.threads, count)
+        return self.run([partial(work, part) for part in self.parts(rows)])
+
+    def parts(self, rows: Tensor) -> Sequence[Tensor]:
+        """Parts of some rows, of about 1,024 each.
+
+        Args:
+            rows: ``(n,)`` indices. On a GPU they are one part.
+
+        Returns:
+            The indices of each part.
+        """
+        return rows.tensor_split(max(1, round(len(rows) / _ROWS)) if rows.device.type == "cpu" else 1)
+
+    def run(self, tasks: Sequence[Callable[[], _Result]]) -> list[_Result]:
+        """Run some tasks.
+
+        Args:
+            tasks: functions that do not wait for each other.
+
+        Returns:
+            What each of them returned, in their order.
+        """
+        threads = min(self.threads, len(tasks))
         if threads == 1:
-            return [work(part) for part in parts]
-        # Each thread takes every so manieth part; this one is the first of them.
-        running = [self._workers().submit(_each, work, parts[number::threads]) for number in range(1, threads)]
-        done = [_each(work, parts[::threads]), *(each.result() for each in running)]
-        return [done[number % threads][number // threads] for number in range(count)]
+            return [task() for task in tasks]
+        # Each thread takes every so manieth task; this one is the first of them.
+        running = [self._workers().submit(_each, tasks[number::threads]) for number in range(1, threads)]
+        done = [_each(tasks[::threads]), *(each.result() for each in running)]
+        return [done[number % threads][number // threads] for number in range(len(tasks))]
 
     def _workers(self) -> ThreadPoolExecutor:
         if self._pool is None:
@@ -72,5 +93,5 @@ class Shards:
             torch.set_num_threads(before)
 
 
-def _each(work: Callable[[Tensor], _Result], parts: Sequence[Tensor]) -> list[_Result]:
-    return [work(part) for part in parts]
+def _each(tasks: Sequence[Callable[[], _Result]]) -> list[_Result]:
+    return [task() for task in tasks]

@@ -95,15 +95,15 @@ def test_the_learning_rate_falls_when_the_policy_moves_too_far_and_rises_when_it
 @pytest.mark.parametrize(
     ("threads", "count", "parts", "used"), [(2, 2048, 2, 2), (2, 256, 1, 1), (3, 8192, 8, 3), (None, 8192, 8, 4)]
 )
-def test_the_rows_of_a_large_minibatch_are_shared_among_threads(threads, count, parts, used, monkeypatch):
+def test_the_networks_and_rows_of_a_minibatch_are_shared_among_threads(threads, count, parts, used, monkeypatch):
     monkeypatch.setattr("os.sched_getaffinity", lambda pid: set(range(4)))
     actor = make_actor(["observation"], 2, 2, initial_scale=0.5)
     ppo = Learner(actor, make_critic(["observation"], 2), PPOConfig(epochs=1, minibatches=1), threads)
     seen, gradients = [], ppo.objective.gradients
 
-    def spy(rows, share):
-        seen.append((threading.current_thread(), torch.get_num_threads(), len(rows)))
-        return gradients(rows, share)
+    def spy(rows, share=1.0, losses=ppo.objective.losses):
+        seen.append((threading.current_thread(), torch.get_num_threads(), len(rows) * len(losses)))
+        return gradients(rows, share, losses)
 
     monkeypatch.setattr(ppo.objective, "gradients", spy)
     before = torch.get_num_threads()
@@ -116,7 +116,7 @@ def test_the_rows_of_a_large_minibatch_are_shared_among_threads(threads, count, 
     assert len(seen) == parts
     assert 1 <= len({thread for thread, *_ in seen}) <= used  # a quick one may take the work of another
     assert {inside for _, inside, _ in seen} == {1}
-    assert sum(rows for *_, rows in seen) == count
+    assert sum(rows for *_, rows in seen) == 2 * count  # each row for actor and critic
 
 
 def test_the_number_of_threads_changes_no_bit_of_an_update():
@@ -137,9 +137,11 @@ def test_the_divergence_of_a_large_batch_is_that_of_rows_at_equal_distances():
     data = batch(ppo.actor, 6144)
     ppo.update(data)
     flat = data.reshape(-1)
-    assert float(ppo._divergence(flat)) == pytest.approx(float(ppo._divergence(flat[::3])), rel=1e-5)
-    whole = [float(ppo._divergence(part)) for part in flat.chunk(3)]
-    assert float(ppo._divergence(flat)) == pytest.approx(sum(whole) / 3, rel=0.2)
+    judged = ppo._judged(flat)
+    assert torch.equal(judged["observation"], flat["observation"][::6])
+    assert float(ppo._divergence(judged)) == pytest.approx(float(ppo._divergence(flat)), rel=0.2)
+    old = ppo.actor.det_part(judged.clone())
+    assert float(ppo._divergence(judged.update({"loc": old["loc"], "scale": old["scale"]}))) == pytest.approx(0.0)
 
 
 def test_the_threads_of_torch_are_given_back_where_an_update_fails(monkeypatch):

@@ -71,7 +71,7 @@ def test_an_update_is_that_of_torchrls_own_loss_and_estimator(entropy, threads):
         made.append(Learner(actor, make_critic(["observation"], 2), PPOConfig(**settings), threads))
     ours, theirs = made
     torch.manual_seed(1)
-    data = episodes(ours.actor, 50, 37)
+    data = episodes(ours.actor, 50, 20)
     torch.manual_seed(2)
     told = ours.update(data)
     torch.manual_seed(2)
