@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import torch
@@ -79,9 +80,9 @@ class AdvantageEstimator:
     def _value(self, states: TensorDictBase) -> Tensor:
         """``(n, 1)`` values of ``(n,)`` states."""
 
-        def value(part: Tensor) -> Tensor:
+        def value(part: TensorDictBase) -> Tensor:
             with torch.no_grad():  # each thread has a mode of its own
-                return self.critic(states[part])[self._gae.tensor_keys.value]
+                return self.critic(part)[self._gae.tensor_keys.value]
 
-        device = next(iter(states.values(True, True))).device
-        return torch.cat(self._shards(value, torch.arange(len(states), device=device)))
+        count = self._shards.count(len(states), next(iter(states.values(True, True))).device)
+        return torch.cat(self._shards.run([partial(value, part) for part in states.chunk(count)]))

@@ -170,14 +170,14 @@ class Learner:
 
     def _tasks(self, batch: TensorDictBase, rows: Tensor) -> list[Callable[[], Gradients]]:
         """What a step computes: a few rows at once, many of them for each loss by itself, in fewer and larger parts."""
-        losses, parts = self.objective.losses, self._shards.parts(rows)
-        if len(parts) == 1:  # a few rows, or a GPU, which does one thing after the other
+        losses, count = self.objective.losses, self._shards.count(len(rows), rows.device)
+        if count == 1:  # a few rows, or a GPU, which does one thing after the other
             return [lambda: self.objective.gradients(batch[rows])]
 
         def task(loss: Loss, part: Tensor) -> Gradients:
             return self.objective.gradients(batch.select(*loss.in_keys)[part], len(part) / len(rows), [loss])
 
-        parts = rows.tensor_split(len(parts) // math.gcd(len(parts), len(losses)))
+        parts = rows.tensor_split(count // math.gcd(count, len(losses)))
         return [partial(task, loss, part) for loss in losses for part in parts]
 
     def _clipped(self) -> list[list[nn.Parameter]]:

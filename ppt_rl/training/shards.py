@@ -6,11 +6,9 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
 from typing import TypeVar
 
 import torch
-from torch import Tensor
 
 __all__ = ["Shards"]
 
@@ -35,28 +33,18 @@ class Shards:
         self.threads = threads or len(os.sched_getaffinity(0))
         self._pool: ThreadPoolExecutor | None = None
 
-    def __call__(self, work: Callable[[Tensor], _Result], rows: Tensor) -> list[_Result]:
-        """Run a function on every part.
+    @staticmethod
+    def count(rows: int, device: torch.device) -> int:
+        """Number of parts for some rows: one for about 1,024 of them.
 
         Args:
-            work: of the indices of a part.
-            rows: ``(n,)`` indices.
+            rows: their number.
+            device: where they are. On a GPU they are one part.
 
         Returns:
-            What it returned for each part, in their order.
+            At least one.
         """
-        return self.run([partial(work, part) for part in self.parts(rows)])
-
-    def parts(self, rows: Tensor) -> Sequence[Tensor]:
-        """Parts of some rows, of about 1,024 each.
-
-        Args:
-            rows: ``(n,)`` indices. On a GPU they are one part.
-
-        Returns:
-            The indices of each part.
-        """
-        return rows.tensor_split(max(1, round(len(rows) / _ROWS)) if rows.device.type == "cpu" else 1)
+        return max(1, round(rows / _ROWS)) if device.type == "cpu" else 1
 
     def run(self, tasks: Sequence[Callable[[], _Result]]) -> list[_Result]:
         """Run some tasks.
