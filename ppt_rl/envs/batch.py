@@ -177,18 +177,34 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         return self._pack(observation | self._done(self._elapsed >= self.horizon))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return self._pack(self.plain_step(tensordict))
+
+    @property
+    def can_step_plainly(self) -> bool:
+        """Whether :meth:`plain_step` does all that a step does: nobody has changed ``_step``, or what it returns."""
+        return type(self)._step is BatchedEnv._step and "_step" not in vars(self) and self.device == self.place
+
+    def plain_step(self, root: Any) -> dict[str, Any]:
+        """One control step, for those who need no TensorDict of it.
+
+        Args:
+            root: has ``action`` and maybe ``_step``, and is read with ``get``.
+
+        Returns:
+            What follows by name, ``(num_envs, ...)`` each, those in a nest in a mapping of their own.
+        """
         self._require_open()
-        mask = tensordict.get("_step", None)
+        mask = root.get("_step", None)
         mask = None if mask is None else mask.reshape(self.num_envs).to(self.place)
         self._require_begun(mask)
-        step = self.engine.step(self._checked_action(tensordict.get("action"), mask), mask)
+        step = self.engine.step(self._checked_action(root.get("action"), mask), mask)
         self._take(step.sensors[:, -1], step.diverged, mask)
         observation = self._observation()
         ended = self._elapsed >= self.horizon
         observation |= self._look_at("_task_step", self._task_step(observation, ended))
         if mask is not None:
             self._silence(observation, mask)
-        return self._pack(observation | self._done(ended))
+        return observation | self._done(ended)
 
     def _look_at(self, hook: str, observation: dict[str, Any]) -> dict[str, Any]:
         """What a hook of the task returned, whose shapes are compared with its spec the first time."""

@@ -10,6 +10,8 @@ from tensordict import TensorDictBase, is_non_tensor
 from tensordict.utils import NestedKey, expand_as_right
 from torch import Tensor
 
+from ppt_rl.transforms.step_data import StepData
+
 __all__ = ["ChunkMemory", "carried", "trace_key", "where"]
 
 
@@ -190,7 +192,7 @@ def where(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDictB
         other = old.get(key, None)
         if isinstance(value, Tensor) and other is not None:
             value = torch.where(expand_as_right(rows, value), value, other)
-        elif isinstance(value, TensorDictBase) and other is not None:
+        elif isinstance(value, TensorDictBase | StepData) and other is not None:
             value = where(rows, value, other)
         elif not is_non_tensor(value):
             continue

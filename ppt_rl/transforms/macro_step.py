@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -13,16 +15,17 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from ppt_rl.functional.argument_checks import require_number, require_whole
 from ppt_rl.functional.checks import is_readable, require_finite
 from ppt_rl.transforms.base import ActionTransform, StatefulTransform
-from ppt_rl.transforms.chain import base_of, step_inside, transforms_of
+from ppt_rl.transforms.chain import base_of, plain_step, step_inside, steps_plainly, transforms_of
 from ppt_rl.transforms.chunk import ChunkMemory, carried, trace_key, where
 from ppt_rl.transforms.specs import nest_of, replace_leaf, set_leaf
+from ppt_rl.transforms.step_data import StepData
 from ppt_rl.transforms.workers import steps_whole_workers, whole_workers
 
 __all__ = ["MacroStepTransform"]
 
 _MEMORY = "_macro_step"
 _SUMMED = "_keys_summed_by_macro_step"
-_OURS = "_inner_transforms_are_ours"
+_INSIDE = "_step_inside_macro_step"
 #: Control steps between two looks at who has ended, where a look makes the host wait for a device.
 _WINDOW = 16
 
@@ -119,12 +122,14 @@ class MacroStepTransform(ActionTransform):
             so that those that wait need not.
         """
         parent, current = self.parent, tensordict
-        state_keys, takes_over = parent.state_keys, self._inner_leave_state()
+        state_keys, inside = parent.state_keys, self._inside()
+        if inside is plain_step and len(steps) > 1:
+            current = StepData.of(tensordict)
         for number, action in enumerate(steps[:-1], start=1):
             current.set(self.action_key, action)
             if memory.alive is not None:
                 current.set("_step", whole_workers(parent, memory.alive))
-            following = step_inside(parent, current, takes_over)
+            following = inside(parent, current)
             memory.advance(following, self._ended(following))
             if (number % memory.window == 0 or number == len(steps) - 1) and memory.none_goes_on():
                 assert memory.frozen is not None
@@ -208,14 +213,16 @@ class MacroStepTransform(ActionTransform):
             keys = parent.__dict__[_SUMMED] = [*parent.reward_keys, *names]
         return keys
 
-    def _inner_leave_state(self) -> bool:
-        """Whether no transform before this one changes the state in the root of a step, as a foreign one might."""
+    def _inside(self) -> Callable[[Any, Any], Any]:
+        """What makes a control step of the environment inside."""
         parent = self.parent
-        known = parent.__dict__.get(_OURS)
-        if known is None:
-            known = all(isinstance(other, StatefulTransform) for other in transforms_of(parent))
-            parent.__dict__[_OURS] = known
-        return known
+        step = parent.__dict__.get(_INSIDE)
+        if step is None:
+            # A transform from elsewhere may change the state in the root of a step.
+            leave_state = all(isinstance(other, StatefulTransform) for other in transforms_of(parent))
+            step = plain_step if steps_plainly(parent) else partial(step_inside, takes_over=leave_state)
+            parent.__dict__[_INSIDE] = step
+        return step
 
     def _check_parent(self) -> None:
         """Refuse an environment that chunks of this action cannot be executed on."""
