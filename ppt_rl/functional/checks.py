@@ -116,7 +116,7 @@ def is_readable(value: Tensor) -> bool:
         True for tensors on the CPU, but for those that only stand for values, under ``torch.compile``, ``torch.export``
         and ``torch.func`` (``vmap``, ``grad``).
     """
-    return value.device.type == "cpu" and not _is_traced()
+    return value.is_cpu and not _is_traced()
 
 
 def none_true(condition: Tensor) -> bool:

@@ -99,7 +99,8 @@ class ThreadedPhysics:
         after = states[:, -1]
         # MuJoCo resets a state that blows up together with its clock, so a wrong time reveals it.
         late = np.abs(after[:, 0] - before[:, 0] - self.substeps * self._dt) > 0.5 * self._dt
-        diverged = late | ~np.isfinite(after).all(-1) | ~np.isfinite(sensors[:, -1]).all(-1)
+        finite = np.isfinite(after).all(-1) & np.isfinite(sensors[:, -1]).all(-1)
+        diverged: NDArray[np.bool_] = late | ~finite
         if diverged.any():
             after = np.where(diverged[:, None], before, after)
         if rows is None:
