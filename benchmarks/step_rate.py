@@ -48,6 +48,7 @@ class Config:
         goal: what has to be at the goal of a push.
         device: where the physics and the chain are.
         engine: engine of the physics.
+        inference: run in torch's inference mode, as a loop that only executes a policy can.
         json: print one line of JSON only.
     """
 
@@ -59,6 +60,7 @@ class Config:
     goal: PushGoal = "position"
     device: str = "cpu"
     engine: EngineName = "auto"
+    inference: bool = False
     json: bool = False
 
 
@@ -94,14 +96,15 @@ def measure(run: Config) -> dict[str, float]:
     before = _peak_memory(run.device)
     env = RECIPE.make_env(config, {"promp": promp}, num_envs=run.num_envs, seed=1)
     actor, _ = RECIPE.make_policy(config, env)
-    env.reset()
-    memory = (_peak_memory(run.device) - before) / run.num_envs
-    torques = _reference_torques(env, actor)
-    kinds = _kinds(env, actor, torques)
-    alone = _warp_alone if isinstance(env.base_env.engine, WarpPhysics) else _mujoco_alone
-    times, ratios = _in_turn(run, env, alone(run, env, torques), kinds)
-    if not bool((env.step(actor(env.reset()))["next", "control_steps"] == env.base_env.horizon).all()):
-        raise RuntimeError("an episode ended early, so the four runs did not do the same work; take another seed.")
+    with torch.inference_mode(run.inference):
+        env.reset()
+        memory = (_peak_memory(run.device) - before) / run.num_envs
+        torques = _reference_torques(env, actor)
+        kinds = _kinds(env, actor, torques)
+        alone = _warp_alone if isinstance(env.base_env.engine, WarpPhysics) else _mujoco_alone
+        times, ratios = _in_turn(run, env, alone(run, env, torques), kinds)
+        if not bool((env.step(actor(env.reset()))["next", "control_steps"] == env.base_env.horizon).all()):
+            raise RuntimeError("an episode ended early, so the four runs did not do the same work; take another seed.")
     steps = run.num_envs * env.base_env.horizon
     result = {f"rate_{name}": steps / statistics.median(values) for name, values in times.items()}
     result |= {f"ratio_{name}": statistics.median(values) for name, values in ratios.items()}

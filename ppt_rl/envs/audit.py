@@ -46,7 +46,7 @@ class AuditedPhysics:
 
     def reset(self, rows: Tensor, position: Tensor) -> Tensor:
         """See :meth:`PhysicsEngine.reset`; the totals of ``rows`` start again at zero."""
-        self.totals[rows] = 0.0
+        self.totals = self.totals.index_fill(0, rows, 0.0)
         return self._engine.reset(rows, position)
 
     def step(self, control: Tensor, mask: Tensor | None = None) -> PhysicsStep:

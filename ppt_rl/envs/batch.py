@@ -170,7 +170,7 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
             self._sensors = self._sensors.clone()  # observations are views, so that of earlier ones is left as it is
             self._sensors[rows] = self.engine.reset(rows, position).to(self.dtype)
             self._elapsed[rows] = 0
-            self._diverged[rows] = False
+            self._diverged = self._diverged.index_fill(0, rows, False)
             self._mark_begun(mask)
         observation = self._observation()
         observation |= self._look_at("_task_reset", self._task_reset(rows))

@@ -101,11 +101,14 @@ class CartesianImpedanceController(nn.Module):
     def _constant_gains(self, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
         """Stiffness and damping ``(6,)`` that nobody learns, computed anew where what they follow from has changed."""
         logs = tuple(self._buffers.values())
+        if any(log.is_inference() for log in logs):  # type: ignore[union-attr]  # nobody can tell whether they changed
+            return self.stiffness.to(dtype), self.damping.to(dtype)
         source = (dtype, *(log._version for log in logs))  # type: ignore[union-attr]
         known = self.__dict__.get("_known_gains")
         if known is None or known[0] != source or any(a is not b for a, b in zip(known[1], logs, strict=True)):
-            stiffness = self.stiffness.to(dtype)
-            known = self.__dict__["_known_gains"] = source, logs, (stiffness, self._damping(stiffness).to(dtype))
+            with torch.inference_mode(False):  # they outlive the mode
+                stiffness = self.stiffness.to(dtype)
+                known = self.__dict__["_known_gains"] = source, logs, (stiffness, self._damping(stiffness).to(dtype))
         return known[2]
 
     def forward(

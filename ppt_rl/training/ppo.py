@@ -205,8 +205,8 @@ class Learner:
     def _judged(self, batch: TensorDictBase) -> TensorDictBase:
         """The rows that stand for a batch in the divergence after each pass, taken at equal distances.
 
-        The mean divergence of a thousand rows is known to a few percent. To evaluate the policy on all of them after
-        each pass would take a sixth of the update.
+        The mean divergence over so many rows is known to a few percent. To evaluate the policy on all rows after each
+        pass would take a sixth of the update.
         """
         keys = ("loc", "scale", *self.objective.policy.network.det_part.in_keys)
         return batch.select(*keys)[:: math.ceil(len(batch) / _JUDGED)].contiguous()

@@ -227,7 +227,8 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform, TankAccountTransf
             return None
         if _BOUNDS not in parent.__dict__:
             spec = self._like()
-            bounds = EffortBounds.of(spec.space.low, spec.space.high) if isinstance(spec, Bounded) else None
+            with torch.inference_mode(False):  # they outlive the mode
+                bounds = EffortBounds.of(spec.space.low, spec.space.high) if isinstance(spec, Bounded) else None
             parent.__dict__[_BOUNDS] = bounds
         return parent.__dict__[_BOUNDS]
 

@@ -116,8 +116,9 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         """The torque limits in the precision and on the device of a torque."""
         bounds = self._bounds
         if bounds is None or bounds.low.dtype != like.dtype or bounds.low.device != like.device:
-            limit = self.torque_limit.to(like)
-            bounds = self._bounds = EffortBounds.of(-limit, limit)
+            with torch.inference_mode(False):  # they outlive the mode
+                limit = self.torque_limit.to(like)
+                bounds = self._bounds = EffortBounds.of(-limit, limit)
         return bounds
 
     def _limited(self, torque: Tensor, tensordict: TensorDictBase) -> Tensor:

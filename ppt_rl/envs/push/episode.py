@@ -134,7 +134,7 @@ class PushEpisodes(Episodes):
         )
         for initial, now in zip(self.initial, distances, strict=True):
             initial[rows] = now[rows].clamp_min(1e-3)
-        self.touched[rows] = False
+        self.touched = self.touched.index_fill(0, rows, False)
 
     def advance(self, distances: PushDistances) -> None:
         """Remember the distances of a control step, for the rewards of the next one.
