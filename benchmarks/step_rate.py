@@ -96,7 +96,7 @@ def measure(run: Config) -> dict[str, float]:
     before = _peak_memory(run.device)
     env = RECIPE.make_env(config, {"promp": promp}, num_envs=run.num_envs, seed=1)
     actor, _ = RECIPE.make_policy(config, env)
-    with torch.inference_mode(run.inference):
+    with torch.inference_mode() if run.inference else torch.no_grad():
         env.reset()
         memory = (_peak_memory(run.device) - before) / run.num_envs
         torques = _reference_torques(env, actor)
