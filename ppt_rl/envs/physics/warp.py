@@ -24,9 +24,10 @@ class WarpPhysics:
     On a GPU the substeps of a control step are one CUDA graph, recorded at the second step. On the CPU the same kernels
     run one after the other, on one thread: for tests, not for speed.
 
-    A world diverges where its state, its readings or its control are not finite, or where its contacts or constraints
-    have exceeded their room. It keeps the state it had before the step, and no other world notices. The contacts of all
-    worlds share one memory, though: where they together need more than twice their room, every world diverges.
+    A world diverges where its state is beyond the bounds of MuJoCo (a position, velocity or acceleration above 1e10),
+    its readings or its control are not finite, or its contacts or constraints have exceeded their room. It keeps the
+    state it had before the step, and no other world notices. The contacts of all worlds share one memory, though: where
+    they together need more than twice their room, every world diverges.
 
     A copy (``copy.deepcopy``, ``pickle``) is an engine of its own in the same state; that of a closed one is closed.
 

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ppt_rl.envs.mujoco_imports import mujoco
 from ppt_rl.functional.rotations import quat_to_matrix
 
 __all__ = ["Worlds", "import_warp"]
@@ -206,9 +207,12 @@ class Worlds:
             value[rows] = 0
 
     def is_sound(self) -> Tensor:
-        """``(B,)`` True where the state is finite and nothing exceeded its room."""
-        finite = self.state[1].isfinite().all(-1) & self.state[2].isfinite().all(-1)
-        return finite & ((self.overflow & self._lost) == 0)
+        """``(B,)`` True where the state is within the bounds of MuJoCo and nothing exceeded its room.
+
+        The solver's starting point is the last acceleration, which MuJoCo bounds as well. No bound holds for NaN.
+        """
+        largest = torch.cat([value.abs() for value in self.state[1:]], -1).amax(-1)
+        return (largest <= mujoco.mjMAXVAL) & ((self.overflow & self._lost) == 0)
 
     # -- fields and copies --------------------------------------------------------------------------------------------
 
