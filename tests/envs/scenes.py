@@ -19,6 +19,7 @@ from ppt_rl.modules.impedance import CartesianImpedanceController
 from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.impedance import ImpedanceTransform
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
+from tests.engines import write_state
 
 #: A test that needs pictures.
 opengl = pytest.mark.skipif(
@@ -80,9 +81,8 @@ def leaves(td: TensorDictBase) -> dict[str, Tensor]:
 
 def put_box(env: PandaPushEnv, row: int, position: Any, quat: Any = (1.0, 0.0, 0.0, 0.0)) -> None:
     """Move the box of one environment behind its back; the box is at rest afterwards."""
-    state = env.engine._state[row]  # time, 7 joints and the box's pose, then velocities
-    state[8:15] = [*position, *quat]
-    state[22:28] = 0.0
+    write_state(env, row, slice(8, 15), [*position, *quat])  # after the time and 7 joints
+    write_state(env, row, slice(22, 28), 0.0)
 
 
 def forwarded(model: Any, state: np.ndarray) -> Any:

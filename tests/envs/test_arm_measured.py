@@ -1,4 +1,3 @@
-import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
@@ -9,6 +8,7 @@ from ppt_rl.functional.impedance import joint_torque
 from ppt_rl.functional.rotations import quat_conjugate, quat_multiply, quat_rotate
 from ppt_rl.modules.kinematics import Kinematics
 from ppt_rl.transforms.joint_torque import JointTorqueTransform
+from tests.engines import bound, model_of
 from tests.envs.scenes import MidAirEnv, act, assert_same, impedance_chain, rollout, torques
 
 F64 = torch.float64
@@ -34,7 +34,7 @@ def test_the_wrench_is_zero_at_rest():
 
 def test_the_force_in_free_motion_is_the_mass_of_the_tool_times_its_acceleration():
     env, run = moving()
-    tool = env.engine.models[0].body("tool")
+    tool = model_of(env, 0).body("tool")
     arm = quat_rotate(run["pose"][..., 3:], env._readings._com.expand(3, 40, 3))
     speed = run["twist"][..., :3] + torch.linalg.cross(run["twist"][..., 3:], arm)
     inertial = float(tool.mass[0]) * speed.diff(dim=1) / env.engine_config.physics_dt
@@ -86,10 +86,11 @@ def test_the_twist_is_the_time_derivative_of_the_pose():
     angular = 2 * turn[..., 1:] * turn[..., :1].sign() / env.engine_config.physics_dt
     twist = run["twist"][:, 1:]  # the integrator moves with the new velocity
     assert twist.norm(dim=-1).max() > 0.1
-    assert_close(torch.cat([linear, angular], -1), twist, rtol=1e-3, atol=1e-4)
+    rounding = bound(1e-4, 2e-3)  # in single precision of two poses, each within 5e-7 m and rad, 0.5 ms apart
+    assert_close(torch.cat([linear, angular], -1), twist, rtol=1e-3, atol=rounding)
 
 
-@pytest.mark.parametrize(("dtype", "atol"), [(torch.float32, 1e-5), (F64, 1e-9)])
+@pytest.mark.parametrize(("dtype", "atol"), [(torch.float32, 1e-5), (F64, bound(1e-9, 1e-6))])
 def test_pose_and_twist_follow_from_the_joints_read_at_the_same_instant(dtype, atol):
     env = MidAirEnv(3, seed=0, dtype=dtype)
     run = rollout(env, torques(env, 30, scale=0.1))["next"]
@@ -112,8 +113,10 @@ def test_a_wrench_in_free_space_moves_the_tool_along_its_own_axis():
     assert (observation["twist"].diagonal() > 0.01).all()
 
 
-def test_the_wrench_transform_commands_the_torque_that_the_environment_executes():
-    env = MidAirEnv(2, seed=0, dtype=F64)
+def test_the_wrench_transform_commands_the_torque_that_the_environment_executes(monkeypatch):
+    env, received = MidAirEnv(2, seed=0, dtype=F64), []
+    step = env.engine.step
+    monkeypatch.setattr(env.engine, "step", lambda control, mask: received.append(control) or step(control, mask))
     kinematics = Kinematics(env.arm, env.tool_length, dtype=F64)
     transform = JointTorqueTransform(kinematics, posture_stiffness=0.0, posture_damping=0.0)
     start = env.reset()
@@ -121,7 +124,7 @@ def test_the_wrench_transform_commands_the_torque_that_the_environment_executes(
     commanded = transform.inv(start.clone().set("action", wrench))["action"]
     assert_close(commanded, joint_torque(kinematics.jacobian(start["joint_position"]), wrench))
     act(env, start, commanded)
-    assert np.array_equal(env.engine._control[:, 0], commanded.numpy())
+    assert torch.equal(received[0], commanded)
 
 
 def test_torque_above_the_limits_acts_like_torque_at_the_limits():

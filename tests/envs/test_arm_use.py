@@ -8,6 +8,7 @@ import torch
 from torch.testing import assert_close
 
 from ppt_rl.envs import EngineConfig, PandaEnv, PandaPushEnv
+from tests.engines import model_of
 from tests.envs.scenes import act, forwarded, opengl, torques
 
 F64 = torch.float64
@@ -127,7 +128,7 @@ def test_the_inspected_physics_has_the_state_of_the_environment():
         assert_close(torch.from_numpy(data.qpos[7:].copy()), observation["box_pose"][row], rtol=0, atol=1e-12)
     observation = act(env, observation, torques(env, 1)[:, 0])
     physics = env.physics(1)
-    data = forwarded(env.engine.models[1], env.engine.state(1))
+    data = forwarded(model_of(env, 1), env.engine.state(1))
     assert np.array_equal(physics.data.qpos, data.qpos)
     assert np.array_equal(physics.data.qvel, data.qvel)
     assert np.allclose(physics.named.data.site_xpos["end_effector"], data.site("end_effector").xpos, atol=1e-12)
@@ -141,7 +142,7 @@ def test_changing_the_inspected_physics_does_not_change_the_environment():
     physics.data.qpos[:] = 0.0
     physics.model.geom_friction[:] = 9.0
     assert np.array_equal(env.engine.state(0), state)
-    assert env.engine.models[0].geom("box").friction[0] < 1
+    assert model_of(env, 0).geom("box").friction[0] < 1
 
 
 def test_importing_the_environments_without_a_display_prints_nothing():

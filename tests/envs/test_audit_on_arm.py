@@ -12,7 +12,7 @@ from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv
 from ppt_rl.envs.audit import AUDITED
 from ppt_rl.envs.readings import sensor_span
-from tests.engines import COARSE
+from tests.engines import COARSE, engine_of, model_of, write_state
 from tests.envs.scenes import act, leaves, rollout, torques
 
 F64 = torch.float64
@@ -75,7 +75,7 @@ def test_an_environment_whose_physics_diverges_keeps_its_totals():
     env = push()
     torque = torques(env, 2, scale=0.1)
     before = act(env, env.reset(), torque[:, 0])
-    env.engine._state[1, 3] = np.nan
+    write_state(env, 1, 3, np.nan)
     after = act(env, before, torque[:, 1])
     assert after["diverged"].squeeze(-1).tolist() == [False, True]
     for name in AUDITED:
@@ -85,8 +85,8 @@ def test_an_environment_whose_physics_diverges_keeps_its_totals():
 
 def test_the_commanded_work_is_that_of_the_engines_torques_over_every_substep(monkeypatch):
     env = push(dtype=F64)
-    inner, work, peak = env.engine._engine, torch.zeros(2, dtype=F64), torch.zeros(2, dtype=F64)
-    velocity = sensor_span(inner.models[0], "joint_velocity1", "joint_velocity7")
+    inner, work, peak = engine_of(env), torch.zeros(2, dtype=F64), torch.zeros(2, dtype=F64)
+    velocity = sensor_span(model_of(env, 0), "joint_velocity1", "joint_velocity7")
     step = inner.step
 
     def spy(control, rows=None):

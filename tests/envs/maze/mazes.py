@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 import math
 
@@ -17,6 +16,7 @@ from ppt_rl.envs.maze.geometry import Corridor, Face, Floor, build_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn
 from ppt_rl.envs.maze.sampling import random_maze, random_straight
 from ppt_rl.modules.impedance import CartesianImpedanceController
+from tests.engines import model_of, write_state
 from tests.envs.scenes import act, forwarded, impedance_chain
 
 Array = NDArray[np.float64]
@@ -147,8 +147,8 @@ def layouts_of(env: PandaMazeEnv) -> list[MazeLayout]:
 def put_tool(env: PandaMazeEnv, row: int, position: Array) -> None:
     """Move the upright tool of one environment behind its back; the tool is at rest afterwards."""
     pose = torch.tensor([[*position, *env.start_pose[3:]]], dtype=torch.float64)
-    state = env.engine._state[row]  # time, 7 joint positions, 7 joint velocities
-    state[1:8], state[8:15] = env._arm_position(pose)[0].numpy(), 0.0
+    write_state(env, row, slice(1, 8), env._arm_position(pose)[0].numpy())
+    write_state(env, row, slice(8, 15), 0.0)  # the velocities
 
 
 def drag(env: PandaMazeEnv, speed: float, depth: list[float], seconds: float) -> TensorDict:
@@ -192,7 +192,7 @@ class RayScene:
     """
 
     def __init__(self, env: PandaMazeEnv, row: int) -> None:
-        self.model = copy.copy(env.engine.models[row])
+        self.model = model_of(env, row)
         names = [self.model.geom(i).name for i in range(self.model.ngeom)]
         self.model.geom_group[:] = [1 if n.startswith("wall") else 2 if n.startswith("floor") else 0 for n in names]
         self.data = forwarded(self.model, env.engine.state(row))

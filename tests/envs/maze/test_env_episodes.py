@@ -14,7 +14,7 @@ from torch.testing import assert_close
 
 from ppt_rl.envs import MazeLayout, MazeRandomisation, PandaMazeEnv
 from ppt_rl.envs.maze.geometry import build_corridor
-from tests.engines import COARSE
+from tests.engines import COARSE, model_of, models_of
 from tests.envs.maze.mazes import LEVEL, drag, layouts_of, put_tool, unit
 from tests.envs.scenes import act, leaves, rollout, torques
 
@@ -71,7 +71,7 @@ def test_a_partial_reset_draws_mazes_for_its_environments_and_leaves_the_others_
     env = PandaMazeEnv.mazes(4, **FAST)
     before = act(env, env.reset(), torques(env, 1)[:, 0])
     kept, layouts = before.clone(), layouts_of(env)
-    geometry = [model.geom_pos.copy() for model in env.engine.models]
+    geometry = [model.geom_pos for model in models_of(env)]
     states = [env.engine.state(row) for row in range(4)]
     mask = torch.tensor([True, False, False, True])
     after = env.reset(before.copy().set("_reset", mask.unsqueeze(-1)))
@@ -80,7 +80,7 @@ def test_a_partial_reset_draws_mazes_for_its_environments_and_leaves_the_others_
         assert torch.equal(same, ~mask), key
     for row, drawn in enumerate(mask.tolist()):
         assert (layouts_of(env)[row] != layouts[row]) is drawn
-        assert np.array_equal(env.engine.models[row].geom_pos, geometry[row]) is not drawn
+        assert np.array_equal(model_of(env, row).geom_pos, geometry[row]) is not drawn
         assert np.array_equal(env.engine.state(row), states[row]) is not drawn
     act(env, after)
     assert all(torch.equal(leaves(before)[name], value) for name, value in leaves(kept).items())

@@ -14,7 +14,7 @@ from ppt_rl.envs import MazeRandomisation, PandaMazeEnv
 from ppt_rl.envs.maze.geometry import WALL_HEIGHT, build_corridor
 from ppt_rl.envs.maze.layout import Disc, MazeLayout, Straight, Turn, paper_layout
 from ppt_rl.envs.maze.scene import boxes_of
-from tests.engines import COARSE
+from tests.engines import COARSE, SPACING, bound, model_of, models_of
 from tests.envs.maze.mazes import (
     LEVEL,
     SHORT,
@@ -32,6 +32,8 @@ from tests.envs.maze.mazes import (
 
 LAYOUTS = [paper_layout(), SHORT, LEVEL, *(random_mazes()[i][0] for i in range(3)), random_straights()[0][0]]
 FAST: dict[str, Any] = {"engine": COARSE, "seed": 0}
+#: Distances between walls [m]: Warp rounds places and turns of pieces within a metre of the base.
+EXACT = bound(1e-9, 2 * SPACING)
 
 
 def pieces(model: mujoco.MjModel) -> list[int]:
@@ -63,7 +65,7 @@ def test_the_simulated_walls_are_the_corridors_width_apart_up_to_their_top(rows:
             for height in (0.002, 0.95 * WALL_HEIGHT):
                 point = np.asarray([*middle, floor + height])
                 sides = [row.wall(point, heading + side * 0.5 * math.pi) for side in (1, -1)]
-                assert sides == pytest.approx([0.5 * layout.width] * 2, abs=1e-9)
+                assert sides == pytest.approx([0.5 * layout.width] * 2, abs=EXACT)
 
 
 def test_the_simulated_walls_are_those_of_the_corridor_without_gaps(rows: list[RayScene]) -> None:
@@ -76,7 +78,7 @@ def test_the_simulated_walls_are_those_of_the_corridor_without_gaps(rows: list[R
             assert np.isfinite(seen(point, angles[np.isinf(expected)], *open_end(corridor))).all()
             for angle, distance in zip(angles, expected, strict=True):
                 if math.isfinite(distance):
-                    assert row.wall(point, angle) == pytest.approx(distance, abs=1e-9)
+                    assert row.wall(point, angle) == pytest.approx(distance, abs=EXACT)
 
 
 def test_the_simulated_floor_has_the_height_of_the_centre_line_from_wall_to_wall(rows: list[RayScene]) -> None:
@@ -89,8 +91,8 @@ def test_the_simulated_floor_has_the_height_of_the_centre_line_from_wall_to_wall
 
 
 def test_the_tool_touches_walls_and_floor_with_the_friction_of_its_maze_and_nothing_else(env: PandaMazeEnv) -> None:
-    for model, layout in zip(env.engine.models, LAYOUTS, strict=True):
-        np.testing.assert_array_equal(model.pair_friction[:, :2], layout.friction)
+    for model, layout in zip(models_of(env), LAYOUTS, strict=True):
+        np.testing.assert_allclose(model.pair_friction[:, :2], layout.friction, rtol=bound(0.0, SPACING))
         stem = model.geom("stem")
         pairs = [set(pair) for pair in zip(model.pair_geom1, model.pair_geom2, strict=True)]
         assert sorted(map(sorted, pairs)) == sorted(sorted((piece, stem.id)) for piece in pieces(model))
@@ -99,7 +101,7 @@ def test_the_tool_touches_walls_and_floor_with_the_friction_of_its_maze_and_noth
 
 
 def test_all_mazes_are_one_compiled_model_with_different_numbers(env: PandaMazeEnv) -> None:
-    first, *others = env.engine.models
+    first, *others = models_of(env)
     for model in others:
         for name in ("nq", "nv", "ngeom", "npair", "nsensordata"):
             assert getattr(model, name) == getattr(first, name)
@@ -112,14 +114,14 @@ def test_a_new_maze_leaves_nothing_of_the_previous_one_in_the_model() -> None:
         used.reset()
     new = PandaMazeEnv.of([LEVEL], **FAST)
     new.reset()
-    model, fresh = used.engine.models[0], new.engine.models[0]
+    model, fresh = model_of(used, 0), model_of(new, 0)
     for name in ("geom_pos", "geom_quat", "geom_size", "geom_rbound", "geom_aabb", "pair_friction"):
         np.testing.assert_array_equal(getattr(model, name), getattr(fresh, name), err_msg=name)
     assert (model.geom_pos[pieces(model), 2] > -1).sum() == len(build_corridor(LEVEL).faces) + 1
 
 
 def test_quantities_that_the_compiler_derives_from_a_box_are_updated(env: PandaMazeEnv) -> None:
-    for model in env.engine.models:
+    for model in models_of(env):
         for i in pieces(model):
             assert model.geom_rbound[i] == pytest.approx(np.linalg.norm(model.geom_size[i]))
             np.testing.assert_array_equal(model.geom_aabb[i], [0, 0, 0, *model.geom_size[i]])
@@ -127,13 +129,12 @@ def test_quantities_that_the_compiler_derives_from_a_box_are_updated(env: PandaM
 
 def test_the_inspected_model_has_the_maze_of_its_environment(env: PandaMazeEnv) -> None:
     for row in (1, 0):
-        shown, stepped = env.physics(row).model.ptr, env.engine.models[row]
+        shown, stepped = env.physics(row).model.ptr, model_of(env, row)
         for i in pieces(stepped):
             name = stepped.geom(i).name
             for attribute in ("pos", "quat", "size"):
-                np.testing.assert_array_equal(
-                    getattr(shown.geom(name), attribute), getattr(stepped.geom(name), attribute), err_msg=name
-                )
+                drawn, there = getattr(shown.geom(name), attribute), getattr(stepped.geom(name), attribute)
+                np.testing.assert_allclose(drawn, there, rtol=bound(0.0, SPACING), err_msg=name)
 
 
 def test_a_maze_with_more_pieces_than_the_model_is_refused() -> None:

@@ -10,7 +10,7 @@ from ppt_rl.envs import PushEnv, PushRandomisation
 from ppt_rl.envs.push.box import Boxes
 from ppt_rl.envs.push.episode import draw_episodes
 from ppt_rl.envs.row_generators import RowGenerators
-from tests.engines import COARSE
+from tests.engines import COARSE, models_of
 
 LARGE = {"box_sizes": (0.10,), "box_masses": (0.2,)}
 
@@ -24,7 +24,7 @@ def test_a_box_of_ten_centimetres_and_two_hundred_grams_is_in_the_model_and_in_t
     observation = env.reset()
     assert torch.allclose(observation["box_size"], torch.tensor(0.10))
     assert torch.allclose(observation["box_pose"][:, 2], torch.tensor(0.05))
-    for model in env.engine.models:
+    for model in models_of(env):
         np.testing.assert_allclose(model.geom("box").size, 0.05)
         assert 0.85 * 0.2 <= model.body("box").mass[0] <= 1.15 * 0.2
         np.testing.assert_allclose(model.body("box").inertia, model.body("box").mass[0] * 0.1**2 / 6)

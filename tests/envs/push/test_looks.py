@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ppt_rl.envs import PushEnv
-from tests.engines import COARSE
+from tests.engines import COARSE, model_of
 
 SIZES = (0.06, 0.10)
 
@@ -50,7 +50,7 @@ def test_a_goal_that_is_a_position_has_no_outline():
 
 def test_the_simulated_model_has_no_marks():
     env, _ = shown("pose", 0.06)
-    model = env.engine.models[0]
+    model = model_of(env, 0)
     names = {model.geom(number).name for number in range(model.ngeom)}
     assert not {name for name in names if name.startswith(("outline", "box_", "goal", "shell", "tip", "adapter"))}
     env.close()

@@ -12,6 +12,7 @@ from torch.testing import assert_close
 from ppt_rl.envs import PushEnv, PushRandomisation, PushReference
 from ppt_rl.envs.push.reference import push_via_points
 from ppt_rl.envs.push.rewards import PushRewards, pose_arrival, turn
+from tests.engines import model_of
 from tests.envs.scenes import act, forwarded, put_box, rollout, torques
 
 F64 = torch.float64
@@ -131,7 +132,7 @@ def test_an_offset_moves_the_centre_of_mass_and_not_the_observed_position():
     )  # fmt: skip
     reset = env.reset()
     assert_close(reset["box_pose"][0, :2], reset["box_start"][0], atol=1e-4, rtol=0)
-    body = forwarded(env.engine.models[0], env.engine._state[0]).body("box")
+    body = forwarded(model_of(env, 0), env.engine.state(0)).body("box")
     assert_close(torch.from_numpy(body.xipos - body.xpos), torch.tensor([offset, offset, 0.0], dtype=F64))
 
 
