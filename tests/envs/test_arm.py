@@ -5,6 +5,7 @@ from torch.testing import assert_close
 from torchrl.envs.utils import check_env_specs
 
 from ppt_rl.envs import EngineConfig, PandaEnv, PandaPushEnv
+from tests.engines import write_state
 from tests.envs.scenes import act, assert_same, leaves, rollout, torques
 
 ENVS = [PandaEnv, PandaPushEnv]
@@ -30,7 +31,7 @@ def test_a_tensordict_of_another_batch_size_is_refused():
 def test_a_seed_gives_bitwise_the_same_rollout_on_one_thread_and_on_two():
     runs = []
     for num_threads in (1, 2, 2):
-        env = PandaPushEnv(5, duration=0.06, seed=3, engine=EngineConfig(num_threads=num_threads))
+        env = PandaPushEnv(5, duration=0.06, seed=3, engine=EngineConfig(num_threads=num_threads, name="threads"))
         runs.append(rollout(env, torques(env, 15)))
     assert_same(runs[0], runs[1])
     assert_same(runs[1], runs[2])
@@ -187,7 +188,7 @@ def test_an_environment_whose_physics_diverges_is_truncated_and_affects_no_other
     for k in range(steps_before):
         observation, expected = act(env, observation, torque[:, k]), act(reference, expected, torque[:, k])
     last = observation.clone()
-    env.engine._state[1, entry] = value
+    write_state(env, 1, entry, value)
     observation, expected = act(env, observation, torque[:, 3]), act(reference, expected, torque[:, 3])
     for name in ("diverged", "truncated", "done"):
         assert observation[name].squeeze(-1).tolist() == [False, True, False], name
@@ -207,7 +208,7 @@ def test_an_environment_whose_physics_diverges_is_truncated_and_affects_no_other
 def test_divergence_in_a_masked_step_marks_its_own_environment():
     env = PandaEnv(4, seed=0)
     observation = act(env, env.reset())
-    env.engine._state[2, 10] = np.nan
+    write_state(env, 2, 10, np.nan)
     after = act(env, observation.set("_step", torch.tensor([True, False, True, True])))
     assert after["diverged"].squeeze(-1).tolist() == [False, False, True, False]
     assert all(torch.isfinite(leaf).all() for leaf in leaves(after).values())
@@ -216,7 +217,7 @@ def test_divergence_in_a_masked_step_marks_its_own_environment():
 def test_divergence_at_the_horizon_of_a_task_is_not_a_terminal_state():
     env = PandaPushEnv(2, duration=0.01, seed=0)
     observation = env.reset()
-    env.engine._state[0, 17] = np.nan
+    write_state(env, 0, 17, np.nan)
     after = act(env, observation)
     assert after["terminated"].squeeze(-1).tolist() == [False, True]
     assert after["truncated"].squeeze(-1).tolist() == [True, False]

@@ -11,7 +11,8 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from ppt_rl.envs import ArmEnv, EngineConfig, MazeEnv, MazeLayout, PushEnv, Straight, paper_layout
-from tests.engines import COARSE, ONE_THREAD
+from ppt_rl.envs.physics import Parameter
+from tests.engines import COARSE, ONE_THREAD, model_of, write_state
 from tests.envs.scenes import assert_same, opengl
 from tests.transforms.cases import make_chain_env
 
@@ -96,10 +97,12 @@ def test_a_copy_has_models_and_states_of_its_own(how):
     env = PushEnv(2, **SHORT)
     env.reset()
     other = COPIES[how](env)
-    mass, state = float(env.engine.models[0].body("box").mass[0]), env.engine.state(0)
-    other.engine.models[0].body("box").mass[:] = 9.0
-    other.engine._state[:] = 0.0
-    assert env.engine.models[0].body("box").mass[0] == mass
+    mass, state = float(model_of(env, 0).body("box").mass[0]), env.engine.state(0)
+    other.engine.write(torch.tensor([0]), [Parameter("body_mass", ("box",), torch.full((2, 1), 9.0))])
+    write_state(other, 0, slice(None), 0.0)
+    assert model_of(other, 0).body("box").mass[0] == 9
+    assert not other.engine.state(0).any()
+    assert model_of(env, 0).body("box").mass[0] == mass
     assert np.array_equal(env.engine.state(0), state)
 
 
@@ -141,7 +144,7 @@ def test_an_environment_that_a_collector_uses_can_be_copied(how):
 
 
 def test_an_environment_is_open_until_it_is_closed_and_its_threads_stop_then():
-    env = PushEnv(2, engine=EngineConfig(num_threads=2))
+    env = PushEnv(2, engine=EngineConfig(num_threads=2, name="threads"))
     assert not env.is_closed
     pool = env.engine._pool
     env.close()
