@@ -14,7 +14,7 @@ from ppt_rl.envs.push import WALL, Obstacle, ObstructedPushEnv
 from ppt_rl.modules import CartesianImpedanceController, Kinematics
 from ppt_rl.tasks import damping_key, motor_tank
 from ppt_rl.transforms import EnergyTankTransform, ImpedanceTransform, JointTorqueTransform
-from tests.engines import ONE_THREAD
+from tests.engines import ON_THREADS
 from tests.transforms.mocks import MockArmEnv
 
 
@@ -26,7 +26,7 @@ def settled(mode: str = "passive", e_max: float = 1.0, **kwargs) -> EnergyTankTr
 
 @pytest.mark.parametrize("mode", ["passive", "parallel"])
 def test_into_a_wall_the_net_energy_delivered_is_at_most_what_the_level_has_lost(mode):
-    base = ObstructedPushEnv(8, obstacle=Obstacle((WALL,)), goal="pose", duration=1.2, seed=0, engine=ONE_THREAD)
+    base = ObstructedPushEnv(8, obstacle=Obstacle((WALL,)), goal="pose", duration=1.2, seed=0, engine=ON_THREADS)
     key, keys = damping_key(mode), ("motor_tank_energy", "motor_valve")
     chain = [
         motor_tank(1.0, 1.0, mode, PANDA),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import pytest
 import torch
@@ -16,7 +17,7 @@ from ppt_rl.envs.push import WALL, Obstacle, ObstructedPushEnv
 from ppt_rl.modules import CartesianImpedanceController, Kinematics
 from ppt_rl.tasks import motor_tank, wrench_law
 from ppt_rl.transforms import EnergyTankTransform, ImpedanceTransform, JointTorqueTransform, MacroStepTransform
-from tests.engines import ONE_THREAD
+from tests.engines import ON_THREADS, ONE_THREAD
 from tests.transforms.mocks import MockArmEnv, actions_for, play
 
 MODES = ["paper", "passive", "parallel", "rate", "impact"]
@@ -131,7 +132,7 @@ def test_the_power_at_the_rate_of_the_physics_stays_near_the_limit_of_the_laws_t
 
 @pytest.mark.parametrize(("mode", "least", "most"), [("paper", 4.0, 99.0), ("rate", 2.0, 99.0), ("impact", 0.5, 1.02)])
 def test_the_power_in_an_impact_stays_within_the_limit_of_the_impact_law_only(mode, least, most):
-    audited = EngineConfig(num_threads=1, audit=True)
+    audited = replace(ON_THREADS, audit=True)
     base = ObstructedPushEnv(8, obstacle=Obstacle((WALL,)), goal="pose", duration=1.2, seed=0, engine=audited)
     env = TransformedEnv(base, Compose(*chain_of(base, mode, 1.0, 30.0)))
     td, power = env.reset(), torch.zeros(())

@@ -20,7 +20,7 @@ def test_impossible_options_of_the_physics_are_refused(options, message):
 
 
 def test_an_environment_steps_its_physics_as_the_options_say():
-    options = EngineConfig(physics_dt=0.005, num_threads=1, audit=True)
+    options = EngineConfig(physics_dt=0.005, num_threads=1, audit=True, name="threads")
     env = ArmEnv(2, engine=options, seed=0)
     assert env.engine_config is options
     assert (env.substeps, env.engine.num_threads, env.engine.models[0].opt.timestep) == (2, 1, 0.005)
@@ -30,6 +30,7 @@ def test_an_environment_steps_its_physics_as_the_options_say():
 
 def test_the_environment_variable_chooses_the_engine_where_no_option_does(monkeypatch):
     cpu = torch.device("cpu")
+    monkeypatch.delenv("PPT_RL_ENGINE", raising=False)
     assert EngineConfig().on(cpu) == "threads"
     monkeypatch.setenv("PPT_RL_ENGINE", "warp")
     assert EngineConfig().on(cpu) == "warp"

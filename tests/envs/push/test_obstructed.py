@@ -1,4 +1,9 @@
-"""Box pushing with obstacles: forces against independent oracles, and episodes that stay those of the seed."""
+"""Box pushing with obstacles: forces against independent oracles, and episodes that stay those of the seed.
+
+Only the engine on CPU threads can follow contacts one by one, so every environment here names it.
+"""
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +22,7 @@ from ppt_rl.tasks.push.scenarios import SCENARIOS
 from ppt_rl.transforms import ImpedanceTransform, JointTorqueTransform
 
 STIFFNESS = 400.0
+THREADS: dict[str, Any] = {"engine": "threads"}
 OBSTACLES = {scenario.name: scenario.make_env.keywords["obstacle"] for scenario in SCENARIOS}
 ADDED = {
     "peak_force", "static_force", "pressure_force", "contact_time", "contact_speed", "contact", "held_force", "kind",
@@ -25,7 +31,8 @@ ADDED = {
 
 def controlled(obstacle, num_envs=2, duration=1.5, **settings):
     """An arm that follows a reference, in float64."""
-    base = ObstructedPushEnv(num_envs, obstacle=obstacle, duration=duration, seed=3, dtype=torch.float64, **settings)
+    settings |= {"seed": 3, "dtype": torch.float64, "engine": "threads"}
+    base = ObstructedPushEnv(num_envs, obstacle=obstacle, duration=duration, **settings)
     controller = CartesianImpedanceController((*(STIFFNESS,) * 3, 30.0, 30.0, 30.0)).double()
     kinematics = Kinematics(base.arm, base.tool_length, dtype=torch.float64)
     return TransformedEnv(base, Compose(JointTorqueTransform(kinematics), ImpedanceTransform(controller)))
@@ -125,7 +132,7 @@ def test_a_stop_vanishes_after_contact_and_what_stands_behind_is_struck():
 
 @pytest.mark.parametrize("name", ["blocked", "jammed", "release", "table"])
 def test_nothing_touches_a_plate_at_the_start(name):
-    env = ObstructedPushEnv(256, obstacle=OBSTACLES[name], goal="pose", seed=5)
+    env = ObstructedPushEnv(256, obstacle=OBSTACLES[name], goal="pose", seed=5, **THREADS)
     tensordict = env.reset()
     for _ in range(2):
         tensordict = env.step(tensordict.set("action", torch.zeros(256, 7)))["next"]
@@ -136,8 +143,8 @@ def test_nothing_touches_a_plate_at_the_start(name):
 
 @pytest.mark.parametrize("name", [name for name in OBSTACLES if name != "table"])
 def test_what_a_policy_sees_at_the_start_is_what_it_sees_without_an_obstacle(name):
-    there = ObstructedPushEnv(5, obstacle=OBSTACLES[name], goal="pose", seed=11)
-    plain = PushEnv(5, goal="pose", seed=11)
+    there = ObstructedPushEnv(5, obstacle=OBSTACLES[name], goal="pose", seed=11, **THREADS)
+    plain = PushEnv(5, goal="pose", seed=11, **THREADS)
     for _ in range(2):  # the second episode too
         seen, expected = there.reset(), plain.reset()
         assert set(seen.keys()) - set(expected.keys()) == ADDED
@@ -146,7 +153,8 @@ def test_what_a_policy_sees_at_the_start_is_what_it_sees_without_an_obstacle(nam
 
 
 def test_a_table_that_is_too_high_lifts_tool_and_box_and_nothing_that_is_known():
-    there, plain = ObstructedPushEnv(3, obstacle=OBSTACLES["table"], seed=1), PushEnv(3, seed=1)
+    there = ObstructedPushEnv(3, obstacle=OBSTACLES["table"], seed=1, **THREADS)
+    plain = PushEnv(3, seed=1, **THREADS)
     seen, expected = there.reset(), plain.reset()
     for key in ("box_start", "goal", "via_position", "box_size"):
         assert_close(seen[key], expected[key], rtol=0, atol=1e-4)
@@ -158,7 +166,7 @@ def test_a_table_that_is_too_high_lifts_tool_and_box_and_nothing_that_is_known()
 
 def test_the_episode_of_a_row_depends_on_neither_the_batch_nor_earlier_runs():
     def fronts(num_envs):
-        env = ObstructedPushEnv(num_envs, obstacle=OBSTACLES["release"], goal="pose", seed=8)
+        env = ObstructedPushEnv(num_envs, obstacle=OBSTACLES["release"], goal="pose", seed=8, **THREADS)
         env.reset()
         env.reset()
         return env._front[:2], env._moment[:2]
@@ -169,11 +177,11 @@ def test_the_episode_of_a_row_depends_on_neither_the_batch_nor_earlier_runs():
 
 @pytest.mark.parametrize("name", ["hand", "release"])
 def test_an_obstructed_environment_fits_its_specs(name):
-    check_env_specs(ObstructedPushEnv(2, obstacle=OBSTACLES[name], duration=0.05, seed=0))
+    check_env_specs(ObstructedPushEnv(2, obstacle=OBSTACLES[name], duration=0.05, seed=0, **THREADS))
 
 
 def test_the_reference_jumps_once_by_its_distance_towards_the_plate():
-    env = ObstructedPushEnv(4, obstacle=OBSTACLES["jump"], seed=2)
+    env = ObstructedPushEnv(4, obstacle=OBSTACLES["jump"], seed=2, **THREADS)
     tensordict = env.reset()
     offsets = []
     for _ in range(env.horizon):

@@ -22,7 +22,7 @@ def test_the_horizon_is_the_duration_in_control_steps_and_at_least_one(duration,
 
 
 def test_the_environment_is_that_of_the_options():
-    env = make_push_env(replace(CONFIG, box_sizes=(0.08,)), num_envs=3)
+    env = make_push_env(replace(CONFIG, box_sizes=(0.08,), engine="threads"), num_envs=3)
     assert (env.num_envs, env.horizon, env.substeps, env.control_dt) == (3, CONFIG.horizon, 10, 0.02)
     assert (env.reset()["box_size"] == 0.08).all()
     assert env.engine.num_threads == 1
