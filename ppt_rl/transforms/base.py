@@ -15,7 +15,6 @@ from torchrl.envs import Transform
 from ppt_rl.transforms.chain import parent_of, transforms_of
 from ppt_rl.transforms.memory import Memory, memory_of
 from ppt_rl.transforms.specs import set_leaf
-from ppt_rl.transforms.step_data import StepData
 
 __all__ = ["ActionTransform", "Entries", "StatefulTransform", "merged"]
 
@@ -146,13 +145,12 @@ class StatefulTransform(Transform):
         memory = self._memory()
         if memory is None:
             return
-        copies = self._keeps_copies and not isinstance(tensordict, StepData)  # inside a macro step nobody changes them
         for key in memory.keys:
             value = tensordict.get(key, None)
             if value is not None and resetting is not None:
                 rows = self._reset_mask(resetting, key)
                 value = value if rows is None else merged(rows, value, memory.entries.get(key))
-            memory.entries[key] = value.clone() if copies and value is not None else value
+            memory.entries[key] = value.clone() if self._keeps_copies and value is not None else value
 
     def _remembered(self, tensordict: TensorDictBase, key: NestedKey) -> Tensor | None:
         """An entry as the environment's side remembers it, if it does."""

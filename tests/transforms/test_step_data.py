@@ -7,8 +7,16 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
 
+from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaMazeEnv, PandaPushEnv
-from ppt_rl.transforms import EnergyPenaltyTransform, EnergyTankTransform, JointTorqueTransform, MacroStepTransform
+from ppt_rl.modules import CartesianImpedanceController, Kinematics
+from ppt_rl.transforms import (
+    EnergyPenaltyTransform,
+    EnergyTankTransform,
+    ImpedanceTransform,
+    JointTorqueTransform,
+    MacroStepTransform,
+)
 from ppt_rl.transforms.chain import plain_step, step_inside, steps_plainly
 from ppt_rl.transforms.step_data import StepData
 from tests.engines import ONE_THREAD
@@ -114,6 +122,29 @@ def test_a_plain_step_of_an_environment_is_its_step(task, mask):
         expected = step_inside(one, given)
         assert_same(plain_step(other, StepData.of(given)), expected)
         root = one._step_mdp(root.set("next", expected))
+
+
+class Erasing(CartesianImpedanceController):
+    """A controller from elsewhere that writes into what it is given, so that no velocity seems to be there."""
+
+    def forward(self, pose: torch.Tensor, twist: torch.Tensor, *args: torch.Tensor) -> torch.Tensor:
+        wrench = super().forward(pose, twist, *args)
+        twist.zero_()
+        return wrench
+
+
+def test_a_controller_that_writes_in_place_changes_nothing_of_what_a_tank_reads():
+    levels = []
+    for controller in (CartesianImpedanceController(), Erasing()):
+        tank, impedance = EnergyTankTransform(p_max=0.1, flow_key="twist"), ImpedanceTransform(controller)
+        torque = JointTorqueTransform(Kinematics(PANDA, PandaPushEnv.tool.length))
+        env = push_env(2, torque, tank, impedance, MacroStepTransform(8, trace_keys=["valve"]), seed=2)
+        td = env.reset()
+        ahead = torch.cat([td["pose"] + torch.tensor([0.05, *[0.0] * 6]), torch.zeros(2, 6)], -1)
+        levels.append(env.step(td.set("action", ahead.unsqueeze(1).repeat(1, 8, 1)))["next", "trace", "valve"])
+    assert levels[0].amin() < 0.9
+    torch.testing.assert_close(levels[1][:, :2], levels[0][:, :2], rtol=0.0, atol=0.0)
+    assert levels[1].amin() < 0.9
 
 
 class Looking(EnergyPenaltyTransform):
