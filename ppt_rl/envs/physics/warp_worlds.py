@@ -211,7 +211,7 @@ class Worlds:
 
         The solver's starting point is the last acceleration, which MuJoCo bounds as well. No bound holds for NaN.
         """
-        largest = torch.cat([value.abs() for value in self.state[1:]], -1).amax(-1)
+        largest = torch.cat(self.state[1:], -1).abs().amax(-1)
         return (largest <= mujoco.mjMAXVAL) & ((self.overflow & self._lost) == 0)
 
     # -- fields and copies --------------------------------------------------------------------------------------------
