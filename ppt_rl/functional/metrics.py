@@ -198,6 +198,6 @@ def summarise_metrics(memory: Tensor) -> dict[str, Tensor]:
 @lru_cache
 def _bin_edges(dtype: torch.dtype, device: torch.device) -> Tensor:
     """Upper edges of all bins of the histogram but the last [N]."""
-    with torch.inference_mode(False):  # they outlive the mode
+    with torch.inference_mode(False):  # cached, so used outside of it too
         edges = _FLOOR * 10.0 ** (torch.arange(1, _BINS, dtype=torch.float64) * (_DECADES / _BINS))
         return edges.to(device, dtype)

@@ -106,7 +106,7 @@ class CartesianImpedanceController(nn.Module):
         source = (dtype, *(log._version for log in logs))  # type: ignore[union-attr]
         known = self.__dict__.get("_known_gains")
         if known is None or known[0] != source or any(a is not b for a, b in zip(known[1], logs, strict=True)):
-            with torch.inference_mode(False):  # they outlive the mode
+            with torch.inference_mode(False):  # cached, so used outside of it too
                 stiffness = self.stiffness.to(dtype)
                 known = self.__dict__["_known_gains"] = source, logs, (stiffness, self._damping(stiffness).to(dtype))
         return known[2]

@@ -169,7 +169,10 @@ class Learner:
         return losses
 
     def _tasks(self, batch: TensorDictBase, rows: Tensor) -> list[Callable[[], Gradients]]:
-        """What a step computes: a few rows at once, many of them for each loss by itself, in fewer and larger parts."""
+        """The tasks of a step: a single one for few rows, else one for each loss and each part of the rows.
+
+        Two losses keep two threads busy with whole minibatches, which is faster than all losses on halves of them.
+        """
         losses, count = self.objective.losses, self._shards.count(len(rows), rows.device)
         if count == 1:  # a few rows, or a GPU, which does one thing after the other
             return [lambda: self.objective.gradients(batch[rows])]

@@ -18,7 +18,7 @@ _ROWS = 1024
 
 
 class Shards:
-    """Runs a function on parts of some rows, in threads in which torch uses one CPU each.
+    """Runs tasks, such as the parts of a batch, in threads in which torch uses one CPU each.
 
     torch's own threads split every operation and meet after each. One that waits spins, which takes the CPU from the
     one it waits for where another process runs beside: an update then takes up to 28 times as long. These threads meet
@@ -58,7 +58,7 @@ class Shards:
         threads = min(self.threads, len(tasks))
         if threads == 1:
             return [task() for task in tasks]
-        # Each thread takes every so manieth task; this one is the first of them.
+        # Thread k takes the tasks k, k + threads, k + 2 threads and so on; this one is thread 0.
         running = [self._workers().submit(_each, tasks[number::threads]) for number in range(1, threads)]
         done = [_each(tasks[::threads]), *(each.result() for each in running)]
         return [done[number % threads][number // threads] for number in range(len(tasks))]

@@ -137,8 +137,9 @@ def step_inside(env: EnvBase, tensordict: TensorDictBase, takes_over: bool = Fal
 def steps_plainly(env: EnvBase) -> bool:
     """Whether the control steps of an environment can be made with plain entries, :class:`StepData`.
 
-    So it is where the base environment has a ``plain_step`` that says it can, and every transform is the library's own:
-    one from elsewhere may use all that a TensorDict can do.
+    That holds where the base environment's ``can_step_plainly`` is True and every transform is the library's own: one
+    from elsewhere may use all that a TensorDict can do. A macro step asks once, at its first chunk, so a ``_step`` that
+    is replaced on the environment after that is not noticed.
 
     Args:
         env: any environment.

@@ -227,7 +227,7 @@ class EnergyTankTransform(TimedTransform, StepLimitsTransform, TankAccountTransf
             return None
         if _BOUNDS not in parent.__dict__:
             spec = self._like()
-            with torch.inference_mode(False):  # they outlive the mode
+            with torch.inference_mode(False):  # cached, so used outside of it too
                 bounds = EffortBounds.of(spec.space.low, spec.space.high) if isinstance(spec, Bounded) else None
             parent.__dict__[_BOUNDS] = bounds
         return parent.__dict__[_BOUNDS]

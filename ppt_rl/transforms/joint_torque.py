@@ -116,7 +116,7 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         """The torque limits in the precision and on the device of a torque."""
         bounds = self._bounds
         if bounds is None or bounds.low.dtype != like.dtype or bounds.low.device != like.device:
-            with torch.inference_mode(False):  # they outlive the mode
+            with torch.inference_mode(False):  # cached, so used outside of it too
                 limit = self.torque_limit.to(like)
                 bounds = self._bounds = EffortBounds.of(-limit, limit)
         return bounds

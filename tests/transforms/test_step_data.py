@@ -82,8 +82,6 @@ def stepped(env: TransformedEnv, given: TensorDict) -> StepData:
 @pytest.mark.parametrize("make", [make_env, make_nested], ids=["flat", "nested"])
 @pytest.mark.parametrize("name", [name for name in CASES if name != "MacroStepTransform"])
 def test_a_transform_does_with_plain_entries_what_it_does_with_a_tensordict(name, make, mask):
-    if make is make_nested and not CASES[name].nested:
-        pytest.skip("the transform takes no nested keys")
     one, other = make(name, (3,)), make(name, (3,))
     root = one.reset()
     other.reset()
@@ -143,8 +141,7 @@ def test_a_controller_that_writes_in_place_changes_nothing_of_what_a_tank_reads(
         ahead = torch.cat([td["pose"] + torch.tensor([0.05, *[0.0] * 6]), torch.zeros(2, 6)], -1)
         levels.append(env.step(td.set("action", ahead.unsqueeze(1).repeat(1, 8, 1)))["next", "trace", "valve"])
     assert levels[0].amin() < 0.9
-    torch.testing.assert_close(levels[1][:, :2], levels[0][:, :2], rtol=0.0, atol=0.0)
-    assert levels[1].amin() < 0.9
+    torch.testing.assert_close(levels[1], levels[0], rtol=0.0, atol=0.0)
 
 
 class Looking(EnergyPenaltyTransform):
@@ -183,7 +180,7 @@ def test_an_environment_that_changes_its_step_is_asked_for_it():
     torch.testing.assert_close(rewards[1], 0.5 * rewards[0])
 
 
-def test_an_environment_whose_step_is_replaced_later_is_asked_for_it_where_a_chain_is_made_anew():
+def test_an_environment_whose_step_was_replaced_before_its_chain_was_made_is_asked_for_it():
     base = PandaPushEnv(2, seed=1, engine=ONE_THREAD)
     step, calls = base._step, []
     base._step = lambda tensordict: calls.append(1) or step(tensordict)
@@ -192,7 +189,7 @@ def test_an_environment_whose_step_is_replaced_later_is_asked_for_it_where_a_cha
     assert len(calls) == 4
 
 
-def test_without_transforms_of_the_library_an_environment_of_the_library_steps_plainly_and_others_do_not():
+def test_an_environment_of_the_library_steps_plainly_alone_and_one_from_elsewhere_does_not():
     assert steps_plainly(PandaPushEnv(1, engine=ONE_THREAD))
     assert not steps_plainly(make_env("EnergyTankTransform", (3,)))
     assert not steps_plainly(TransformedEnv(PandaPushEnv(1, engine=ONE_THREAD), StepCounter()))
