@@ -22,6 +22,7 @@ from ppt_rl.envs.rendering import RenderedScenes
 from ppt_rl.envs.row_generators import RowGenerators
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.functional.checks import none_true, require_positive
+from ppt_rl.functional.constants import constant
 
 __all__ = ["BatchedEnv"]
 
@@ -200,7 +201,7 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         step = self.engine.step(self._checked_action(root.get("action"), mask), mask)
         self._take(step.sensors[:, -1], step.diverged, mask)
         observation = self._observation()
-        ended = self._elapsed >= self.horizon
+        ended = self._elapsed >= constant(self.horizon, self._elapsed)
         observation |= self._look_at("_task_step", self._task_step(observation, ended))
         if mask is not None:
             self._silence(observation, mask)
@@ -218,7 +219,7 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         moved = sensors.to(self.dtype, copy=True)  # the engine reuses its buffer
         if mask is None:
             self._diverged = diverged.unsqueeze(-1)
-            self._elapsed += 1
+            self._elapsed += constant(1, self._elapsed)
             kept = self._diverged
         else:
             column = mask.unsqueeze(-1)
@@ -241,10 +242,10 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
         terminal = ended if self.horizon_terminates else torch.zeros_like(ended)
         if over is not None:
             require_over(type(self).__name__, over, self.num_envs)
-            terminal = terminal | over
-        done = ended | terminal | self._diverged
-        terminated = terminal & ~self._diverged
-        return {"done": done, "terminated": terminated, "truncated": done & ~terminated}
+            terminal, ended = terminal | over, ended | over
+        done = ended | self._diverged
+        terminated = terminal > self._diverged  # and not diverged
+        return {"done": done, "terminated": terminated, "truncated": done > terminated}
 
     def _pack(self, observation: dict[str, Any]) -> TensorDict:
         if self.device != self.place:

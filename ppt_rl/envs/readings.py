@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -43,7 +44,10 @@ class ArmReadings:
             "pose": sensor_span(model, "position", "orientation"),
             "twist": sensor_span(model, "linear_velocity", "angular_velocity"),
         }
-        self._force = sensor_span(model, "force", "torque")
+        spans = [*self.slices.values(), sensor_span(model, "force", "torque")]
+        edges = sorted({0, int(model.nsensordata)}.union(*((span.start, span.stop) for span in spans)))
+        self._sizes = [end - start for start, end in pairwise(edges)]
+        self._places = [edges.index(span.start) for span in spans]
         tool, point = model.body("tool"), model.site("end_effector").pos
         self._weight = torch.tensor(float(tool.mass[0]) * model.opt.gravity, dtype=dtype, device=device)  # [N]
         self._com = torch.tensor(
@@ -60,16 +64,16 @@ class ArmReadings:
             ``joint_position`` ``(B, n)`` [rad], ``joint_velocity`` ``(B, n)`` [rad/s], ``pose`` ``(B, 7)`` [m, -],
             ``twist`` ``(B, 6)`` [m/s, rad/s] and ``wrench`` ``(B, 6)`` [N, N m], as in :class:`ppt_rl.envs.ArmEnv`.
         """
-        observation = {key: sensors[:, part] for key, part in self.slices.items()}
-        observation["wrench"] = self._wrench(sensors, observation["pose"][:, 3:])
+        pieces = sensors.split_with_sizes(self._sizes, 1)
+        *parts, force = (pieces[place] for place in self._places)
+        observation = dict(zip(self.slices, parts, strict=True))
+        observation["wrench"] = self._wrench(force, observation["pose"][:, 3:])
         return observation
 
-    def _wrench(self, sensors: Tensor, orientation: Tensor) -> Tensor:
+    def _wrench(self, reading: Tensor, orientation: Tensor) -> Tensor:
         """Wrench on the world in world axes: wrist force and torque with the tool's weight subtracted."""
-        local = sensors[:, self._force].unflatten(-1, (2, 3))
-        com = self._com.expand(len(sensors), 1, 3)
-        turned = quat_rotate(orientation.unsqueeze(1), torch.cat([local, com], 1))
-        weight = self._weight.expand(len(sensors), 3)
-        force = turned[:, 0] + weight
-        torque = turned[:, 1] + torch.linalg.cross(turned[:, 2], weight)
-        return torch.cat([force, torque], -1)
+        com = self._com.expand(len(reading), 1, 3)
+        turned = quat_rotate(orientation.unsqueeze(1), torch.cat([reading.view(-1, 2, 3), com], 1))
+        force, torque, com = turned.unbind(1)
+        weight = self._weight.expand_as(com)
+        return torch.cat([force + weight, torque + torch.linalg.cross(com, weight)], -1)

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from ppt_rl.envs.specs import SpecMaker
+from ppt_rl.functional.constants import constant
 from ppt_rl.functional.impedance import power
 
 __all__ = ["REWARD_GROUPS", "reward_spec", "total_reward", "work_penalty", "zero_rewards"]
@@ -75,4 +76,5 @@ def work_penalty(weight: float, *, wrench: Tensor, twist: Tensor, dt: float) -> 
     Returns:
         ``(B, 1)`` reward, zero or negative.
     """
-    return (-weight * dt) * power(wrench, twist).abs()
+    work = power(wrench, twist).abs()
+    return constant(-weight * dt, work) * work

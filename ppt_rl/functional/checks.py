@@ -128,7 +128,7 @@ def none_true(condition: Tensor) -> bool:
     Returns:
         False where an entry is True, or where nothing is known, because the tensor is not readable.
     """
-    return is_readable(condition) and not condition.any()
+    return is_readable(condition) and not (condition if condition.numel() == 1 else condition.any())
 
 
 def all_at_most(value: Tensor, most: float) -> bool:
@@ -141,7 +141,7 @@ def all_at_most(value: Tensor, most: float) -> bool:
     Returns:
         False where an entry is larger or NaN, or where nothing is known, because the tensor is not readable.
     """
-    return is_readable(value) and value.numel() > 0 and value.detach().amax().item() <= most
+    return is_readable(value) and value.numel() > 0 and _without_gradient(value).max().item() <= most
 
 
 def require_all(condition: Tensor, message: str) -> None:
@@ -164,6 +164,11 @@ def require_all(condition: Tensor, message: str) -> None:
         raise ValueError(message)
 
 
+def _without_gradient(value: Tensor) -> Tensor:
+    """A tensor detached from its graph; at no cost where there is none."""
+    return value.detach() if value.requires_grad else value
+
+
 def _is_traced() -> bool:
     """Whether this runs inside ``torch.compile`` or ``torch.vmap``, where nothing may depend on a value."""
     return torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None
@@ -178,7 +183,10 @@ def are_finite(value: Tensor) -> bool:
     Returns:
         False where an entry is not finite, or where nothing is known: the sum overflows, or the tensor is not readable.
     """
-    return is_readable(value) and math.isfinite(value.detach().sum())
+    if not is_readable(value):
+        return False
+    value = _without_gradient(value)
+    return math.isfinite((value if value.numel() == 1 else value.sum()).item())
 
 
 def require_finite(name: str, value: Tensor) -> None:

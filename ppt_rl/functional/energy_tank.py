@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
+from ppt_rl.functional.constants import constant
 from ppt_rl.functional.tank_ahead import impact_tank, rate_tank
 from ppt_rl.functional.tank_laws import parallel_tank, passive_tank
 from ppt_rl.functional.tank_step import EnergyTankStep, TankLaw, budgets, coarsest, settled, upper_power, valve_for
@@ -65,7 +66,7 @@ def energy_tank(
     energy, p_max, e_max = budgets(energy, p_max, e_max)
     p, fits = upper_power(effort, flow, energy, ulp)
     valve = valve_for(p, fits, energy, p_max=p_max, dt=dt, eps=eps, ulp=ulp)
-    return settled(valve, valve * p, p > 0, energy, e_max=e_max, dt=dt, ulp=ulp)
+    return settled(valve, valve * p, p > constant(0.0, p), energy, e_max=e_max, dt=dt, ulp=ulp)
 
 
 #: The laws of the tank by name: the values of ``mode`` that an ``EnergyTankTransform`` accepts.

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from ppt_rl.functional.checks import is_readable, require_last_dim
+from ppt_rl.functional.constants import constant
 from ppt_rl.functional.shape_checks import require_same_batch, require_trailing
 
 __all__ = [
@@ -43,11 +44,11 @@ def orientation_error(quat: Tensor, reference_quat: Tensor) -> Tensor:
     require_last_dim("quat", quat, 4)
     require_last_dim("reference_quat", reference_quat, 4)
     require_same_batch(quat=quat, reference_quat=reference_quat)
-    w, v = quat[..., :1], quat[..., 1:]
-    wd, vd = reference_quat[..., :1], reference_quat[..., 1:]
+    w, v = quat.split_with_sizes((1, 3), -1)
+    wd, vd = reference_quat.split_with_sizes((1, 3), -1)
     error_w = (quat * reference_quat).sum(-1, keepdim=True)
     error_v = wd * v - w * vd - torch.linalg.cross(v, vd.expand_as(v))
-    return -2.0 * error_w * error_v
+    return constant(-2.0, error_w) * error_w * error_v
 
 
 def critical_damping(stiffness: Tensor, damping_ratio: Tensor, inertia: Tensor) -> Tensor:
@@ -103,9 +104,9 @@ def cartesian_impedance(
         pose=pose, twist=twist, reference_pose=reference_pose, reference_twist=reference_twist, stiffness=stiffness,
         damping=damping,
     )  # fmt: skip
-    position_error = reference_pose[..., :3] - pose[..., :3]  # [m]
-    rotation_error = orientation_error(pose[..., 3:], reference_pose[..., 3:])  # [-]
-    error = torch.cat([position_error, rotation_error], -1)
+    position, quat = pose.split_with_sizes((3, 4), -1)
+    reference_position, reference_quat = reference_pose.split_with_sizes((3, 4), -1)
+    error = torch.cat([reference_position - position, orientation_error(quat, reference_quat)], -1)  # [m, -]
     return stiffness * error + damping * (reference_twist - twist)
 
 
@@ -184,7 +185,7 @@ def nullspace_torque(jacobian: Tensor, torque: Tensor, inertia: Tensor, damping:
     require_last_dim("inertia", inertia, jacobian.shape[-1])
     weighted = jacobian / inertia  # J M^-1
     gram = _product(weighted, jacobian.mT)
-    gram.diagonal(dim1=-2, dim2=-1).add_(damping**2)
+    gram.diagonal(dim1=-2, dim2=-1).add_(constant(damping**2, gram))
     factor, _ = torch.linalg.cholesky_ex(gram)  # positive definite by construction, so no check that synchronises
     solved = _solve(factor, _product(weighted, torque.unsqueeze(-1)))
     return torque - _product(jacobian.mT, solved).squeeze(-1)

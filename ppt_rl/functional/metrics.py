@@ -14,6 +14,7 @@ from scipy import signal
 from torch import Tensor
 
 from ppt_rl.functional.checks import require_last_dim, require_positive
+from ppt_rl.functional.constants import constant
 from ppt_rl.functional.shape_checks import require_same_batch
 
 __all__ = [
@@ -140,21 +141,21 @@ def update_metrics(
     require_same_batch(memory=memory, twist=twist, wrench=wrench, power=power)
     b0, b1, b2, a1, a2 = low_pass(config.cutoff, dt)
     x = torch.cat([twist[..., :3], wrench[..., :3]], -1)
-    sums, maxima, first, last, z1, z2, v1, v2, histogram = memory.split(_PARTS, -1)
+    sums, maxima, first, last, z1, z2, v1, v2, histogram = memory.split_with_sizes(_PARTS, -1)
     y = torch.add(z1, x, alpha=b0)
     z1 = z2.add(x, alpha=b1).add_(y, alpha=-a1)
-    z2 = (b2 * x).add_(y, alpha=-a2)
-    velocity, filtered = y.split(3, -1)
+    z2 = (constant(b2, x) * x).add_(y, alpha=-a2)
+    velocity, filtered = y.split_with_sizes((3, 3), -1)
     force = torch.linalg.vector_norm(filtered, dim=-1, keepdim=True)
-    jerk = torch.add(velocity, v1, alpha=-2).add_(v2) / dt**2  # [m/s^3]
+    jerk = torch.add(velocity, v1, alpha=-2).add_(v2) / constant(dt**2, x)  # [m/s^3]
     measured = (twist * wrench).sum(-1, keepdim=True).abs()  # [W]
-    contact = force > config.contact_force
+    contact = force > constant(config.contact_force, force)
     count = sums[..., :1]
-    first = torch.where(contact & (first < 0), count, first)
+    first = torch.where(contact & (first < constant(0.0, first)), count, first)
     last = torch.where(contact, count, last)
-    flags = torch.cat([torch.ones_like(contact), measured > config.p_max, contact], -1).to(x.dtype)
+    flags = torch.cat([torch.ones_like(contact), measured > constant(config.p_max, measured), contact], -1).to(x.dtype)
     power = power.abs()  # [W]
-    sums = sums + torch.cat([flags, jerk.square_().sum(-1, keepdim=True), dt * power], -1)
+    sums = sums + torch.cat([flags, jerk.square_().sum(-1, keepdim=True), constant(dt, power) * power], -1)
     maxima = torch.maximum(maxima, torch.cat([power, measured], -1))
     index = torch.bucketize(force, _bin_edges(force.dtype, force.device), right=True)
     histogram = histogram.scatter_add(-1, index, torch.ones_like(force))

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ppt_rl.functional.argument_checks import require_instance
 from ppt_rl.functional.checks import require_last_dim
+from ppt_rl.functional.constants import constant
 from ppt_rl.functional.shape_checks import require_same_batch, require_trailing
 
 __all__ = [
@@ -76,8 +77,9 @@ def quat_rotate(quat: Tensor, vector: Tensor) -> Tensor:
     require_last_dim("quat", quat, 4)
     require_last_dim("vector", vector, 3)
     require_same_batch(quat=quat, vector=vector)
-    w, u = quat[..., :1], quat[..., 1:].expand_as(vector)
-    t = 2.0 * torch.linalg.cross(u, vector)
+    w, u = quat.split_with_sizes((1, 3), -1)
+    u = u.expand_as(vector)
+    t = constant(2.0, vector) * torch.linalg.cross(u, vector)
     return vector + w * t + torch.linalg.cross(u, t)
 
 

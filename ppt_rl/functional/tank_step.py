@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ppt_rl.functional.checks import are_finite, require_finite
+from ppt_rl.functional.constants import constant
 
 __all__ = [
     "EnergyTankStep",
@@ -142,9 +143,9 @@ def valve_for(
     """
     tiny, ulps = torch.finfo(energy.dtype).tiny, 4 * ulp
     usable = torch.threshold(energy, tiny / ulps, 0.0)  # [J]
-    limit = (usable / dt).clamp_max(p_max) / p.clamp_min(eps)
+    limit = (usable / constant(dt, usable)).clamp_max(p_max) / p.clamp_min(eps)
     limit = limit if fits is None else limit * fits
-    return torch.threshold((limit * (1 - ulps)).clamp_max(1.0), tiny, 0.0)
+    return torch.threshold((limit * constant(1 - ulps, limit)).clamp_max(1.0), tiny, 0.0)
 
 
 def settled(
@@ -165,7 +166,8 @@ def settled(
         The result, in the precision of the level.
     """
     ulps = 4 * ulp
-    level = torch.where(is_paid, energy * (1 - ulps), energy) - power * (dt * (1 + ulps))  # [J]
+    rounded = torch.where(is_paid, energy * constant(1 - ulps, energy), energy)  # [J]
+    level = rounded - power * constant(dt * (1 + ulps), power)  # [J]
     return as_level(EnergyTankStep(valve, within(level, e_max), power), energy)
 
 

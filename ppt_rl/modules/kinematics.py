@@ -78,7 +78,6 @@ class Kinematics(nn.Module):
         zero = torch.zeros_like(x)
         self._even, self._odd = torch.stack([x, y, zero, zero], -1), torch.stack([y, -x, zero, zero], -1)
         self._fixed = torch.stack([zero, zero, z, origin], -1)
-        self._base = torch.eye(4, dtype=self._anchor.dtype, device=self._anchor.device)
 
     def _follow_anchor(self) -> None:
         """Build the constants anew where the module was moved or its precision changed."""
@@ -135,7 +134,7 @@ class Kinematics(nn.Module):
         require_last_dim("joint_position", joint_position, count)
         self._follow_anchor()
         angle = joint_position.reshape(-1, count).to(self._anchor.dtype)
-        links = self._frames(angle)[1:-1].transpose(0, 1)  # (B, n, 4, 4)
+        links = self._frames(angle)[:-1].transpose(0, 1)  # (B, n, 4, 4)
         turn, origin, axis = links[..., :3, :3], links[..., :3, 3], links[..., :3, 2]
         mass, com, inertia = self._inertials
         centre = origin + (turn @ com.unsqueeze(-1)).squeeze(-1)
@@ -198,21 +197,21 @@ class Kinematics(nn.Module):
         self._follow_anchor()
         batch = joint_position.shape[:-1]
         frames = self._frames(joint_position.reshape(-1, count).to(self._anchor.dtype))
-        tip, joints = frames[-1], frames[1:-1, :, :3]  # (B, 4, 4) and (n, B, 3, 4)
-        axis, origin = joints[..., 2], joints[..., 3]
+        tip, joints = frames[-1], frames[:-1, :, :3]  # (B, 4, 4) and (n, B, 3, 4)
+        _, _, axis, origin = joints.unbind(-1)
         linear = torch.linalg.cross(axis, tip[:, :3, 3] - origin)
-        jacobian = torch.cat([linear, axis], -1).permute(1, 2, 0)  # (B, 6, n)
-        return jacobian.reshape(*batch, 6, count).contiguous(), tip.reshape(*batch, 4, 4)
+        jacobian = torch.cat([linear, axis], -1).permute(1, 2, 0).contiguous()  # (B, 6, n)
+        return (jacobian, tip) if len(batch) == 1 else (jacobian.view(*batch, 6, count), tip.view(*batch, 4, 4))
 
     def _frames(self, joint_position: Tensor) -> Tensor:
-        """``(n + 2, B, 4, 4)`` poses in world of the base, the links and the tool, in this order.
+        """``(n + 1, B, 4, 4)`` poses in world of the links and the tool, in this order.
 
         The product along the chain is written out for joints about z.
         """
-        angle = joint_position.mT[..., None, None]  # (n, B, 1, 1)
-        first, *others = (angle.cos() * self._even + angle.sin() * self._odd + self._fixed).unbind(0)
-        frames = [self._base.expand_as(first), first]
-        for offset in others:
+        angle = joint_position.t().view(self.arm.num_joints, -1, 1, 1)
+        joints = torch.addcmul(self._fixed, angle.cos(), self._even).add_(angle.sin() * self._odd)
+        first, *others = joints.unbind(0)
+        frames = [first]
+        for offset in (*others, self._offsets[-1].expand_as(first)):
             frames.append(torch.bmm(frames[-1], offset))
-        frames.append(frames[-1] @ self._offsets[-1])
         return torch.stack(frames)

@@ -114,8 +114,8 @@ class StatefulTransform(Transform):
     def _require(self, tensordict: TensorDictBase, *keys: NestedKey) -> list[Tensor]:
         """Entries of the tensordict, or an error that names those that are missing and those that there are."""
         values: list[Any] = [tensordict.get(key, None) for key in keys]
-        missing = [key for key, value in zip(keys, values, strict=True) if value is None]
-        if missing:
+        if any(value is None for value in values):
+            missing = [key for key, value in zip(keys, values, strict=True) if value is None]
             present = sorted(str(key) for key in tensordict.keys(True, True))
             named = [name for name, value in vars(self).items() if name.endswith("_key") and value in missing]
             elsewhere = f" Pass {'=, '.join(named)}= where it has another name." if named else ""

@@ -9,21 +9,14 @@ from tensordict import TensorDictBase
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
-from ppt_rl.transforms.step_data import StepData
-
 __all__ = [
     "attribute",
     "base_of",
     "parent_of",
-    "plain_step",
     "step_inside",
-    "steps_plainly",
     "transforms_after",
     "transforms_of",
 ]
-
-#: Prefix of the library's modules.
-_PACKAGE = f"{__name__.partition('.')[0]}."
 
 
 def base_of(env: EnvBase) -> EnvBase:
@@ -132,44 +125,6 @@ def step_inside(env: EnvBase, tensordict: TensorDictBase, takes_over: bool = Fal
     following = step_inside(base, root)
     base._complete_done(base.full_done_spec, following)
     return transform._step(root, following)
-
-
-def steps_plainly(env: EnvBase) -> bool:
-    """Whether the control steps of an environment can be made with plain entries, :class:`StepData`.
-
-    That holds where the base environment's ``can_step_plainly`` is True and every transform is the library's own: one
-    from elsewhere may use all that a TensorDict can do. A macro step asks once, at its first chunk, so a ``_step`` that
-    is replaced on the environment after that is not noticed.
-
-    Args:
-        env: any environment.
-
-    Returns:
-        Whether it is so.
-    """
-    layer = env
-    while isinstance(layer, TransformedEnv):
-        if type(layer)._step is not TransformedEnv._step or "_step" in vars(layer):
-            return False
-        layer = layer.base_env
-    ours = all(type(other).__module__.startswith(_PACKAGE) for other in transforms_of(env))
-    return ours and bool(attribute(layer, "can_step_plainly"))
-
-
-def plain_step(env: EnvBase, root: StepData) -> StepData:
-    """One step of an environment for which :func:`steps_plainly` holds, as :func:`step_inside` makes it.
-
-    Args:
-        env: the environment.
-        root: of the step; it is changed.
-
-    Returns:
-        What follows.
-    """
-    if not isinstance(env, TransformedEnv):
-        return StepData(env.plain_step(root), root.batch_size, root.device)
-    root = env.transform._inv_call(root)
-    return env.transform._step(root, plain_step(env.base_env, root))
 
 
 def _flat(transform: Transform | None) -> Iterator[Transform]:

@@ -10,6 +10,7 @@ from tensordict import TensorDictBase, is_non_tensor
 from tensordict.utils import NestedKey, expand_as_right
 from torch import Tensor
 
+from ppt_rl.functional.constants import constant
 from ppt_rl.transforms.step_data import StepData
 
 __all__ = ["ChunkMemory", "carried", "trace_key", "where"]
@@ -72,7 +73,7 @@ class ChunkMemory:
             self.total[key] = value if total is None else total + value
         for key, values in self.trace.items():
             values.append(_masked(following.get(key), self.alive))
-        self.count = self.count + (1 if self.alive is None else self.alive.to(torch.int64))
+        self.count = self.count + (constant(1, self.count) if self.alive is None else self.alive.to(torch.int64))
         self.factor *= self.discount
 
     def advance(self, following: TensorDictBase, ended: Tensor) -> None:

@@ -8,6 +8,7 @@ from tensordict.utils import NestedKey, unravel_key
 from torchrl.data import TensorSpec
 
 from ppt_rl.functional.argument_checks import require_in_range
+from ppt_rl.functional.constants import constant
 from ppt_rl.transforms.base import StatefulTransform
 
 __all__ = ["EnergyPenaltyTransform"]
@@ -76,4 +77,4 @@ class EnergyPenaltyTransform(StatefulTransform):
         spent, stepping = before - after, self._stepping(tensordict)
         if stepping is not None:
             spent = torch.where(stepping.unsqueeze(-1), spent, torch.zeros_like(spent))
-        return next_tensordict.set(self.reward_key, reward - self.weight * spent)
+        return next_tensordict.set(self.reward_key, reward - constant(self.weight, spent) * spent)

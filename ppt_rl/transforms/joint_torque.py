@@ -12,6 +12,7 @@ from torchrl.data import Composite, TensorSpec
 
 from ppt_rl.functional.argument_checks import require_in_range, require_instance, require_numbers
 from ppt_rl.functional.checks import require_last_dim, require_positive
+from ppt_rl.functional.constants import constant
 from ppt_rl.functional.impedance import joint_torque, nullspace_torque, power
 from ppt_rl.functional.limits import EffortBounds, scale_change, scale_into
 from ppt_rl.modules.kinematics import Kinematics
@@ -99,7 +100,8 @@ class JointTorqueTransform(TimedTransform, ActionTransform):
         torque = joint_torque(jacobian, wrench)
         if self.has_nullspace and (self.posture_stiffness or self.posture_damping):
             (velocity,) = self._recall(tensordict, "joint_velocity")
-            posture = self.posture_stiffness * (self.posture.to(position) - position) - self.posture_damping * velocity
+            spring = constant(self.posture_stiffness, position) * (self.posture.to(position) - position)
+            posture = spring - constant(self.posture_damping, velocity) * velocity
             torque = torque + nullspace_torque(jacobian, posture.to(torque), self.joint_inertia.to(torque))
         torque, factor = scale_into(torque, self._limits(torque))
         if self.damping_key is not None:

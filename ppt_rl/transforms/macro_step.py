@@ -15,10 +15,10 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from ppt_rl.functional.argument_checks import require_number, require_whole
 from ppt_rl.functional.checks import is_readable, require_finite
 from ppt_rl.transforms.base import ActionTransform, StatefulTransform
-from ppt_rl.transforms.chain import base_of, plain_step, step_inside, steps_plainly, transforms_of
+from ppt_rl.transforms.chain import base_of, step_inside, transforms_of
 from ppt_rl.transforms.chunk import ChunkMemory, carried, trace_key, where
 from ppt_rl.transforms.specs import nest_of, replace_leaf, set_leaf
-from ppt_rl.transforms.step_data import StepData
+from ppt_rl.transforms.step_data import PlainStep, StepData
 from ppt_rl.transforms.workers import steps_whole_workers, whole_workers
 
 __all__ = ["MacroStepTransform"]
@@ -123,13 +123,13 @@ class MacroStepTransform(ActionTransform):
         """
         parent, current = self.parent, tensordict
         state_keys, inside = parent.state_keys, self._inside()
-        if inside is plain_step and len(steps) > 1:
+        if isinstance(inside, PlainStep) and len(steps) > 1:
             current = StepData.of(tensordict)
         for number, action in enumerate(steps[:-1], start=1):
             current.set(self.action_key, action)
             if memory.alive is not None:
                 current.set("_step", whole_workers(parent, memory.alive))
-            following = inside(parent, current)
+            following = inside(current)
             memory.advance(following, self._ended(following))
             if (number % memory.window == 0 or number == len(steps) - 1) and memory.none_goes_on():
                 assert memory.frozen is not None
@@ -213,14 +213,14 @@ class MacroStepTransform(ActionTransform):
             keys = parent.__dict__[_SUMMED] = [*parent.reward_keys, *names]
         return keys
 
-    def _inside(self) -> Callable[[Any, Any], Any]:
+    def _inside(self) -> Callable[[Any], Any]:
         """What makes a control step of the environment inside."""
         parent = self.parent
         step = parent.__dict__.get(_INSIDE)
         if step is None:
             # A transform from elsewhere may change the state in the root of a step.
             leave_state = all(isinstance(other, StatefulTransform) for other in transforms_of(parent))
-            step = plain_step if steps_plainly(parent) else partial(step_inside, takes_over=leave_state)
+            step = PlainStep.of(parent) or partial(step_inside, parent, takes_over=leave_state)
             parent.__dict__[_INSIDE] = step
         return step
 

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv
 
-__all__ = ["StepData"]
+from ppt_rl.transforms.chain import attribute, transforms_of
+
+__all__ = ["PlainStep", "StepData"]
+
+#: Prefix of the library's modules.
+_PACKAGE = f"{__name__.partition('.')[0]}."
 
 
 class StepData(dict[str, Any]):
@@ -125,3 +132,57 @@ class StepData(dict[str, Any]):
                 yield name
             for key in value.keys(True, leaves_only):
                 yield (name, key) if isinstance(key, str) else (name, *key)
+
+
+@dataclass(frozen=True)
+class PlainStep:
+    """One step of an environment with plain entries.
+
+    Attributes:
+        base: the base environment.
+        transforms: its transforms, outwards.
+    """
+
+    base: EnvBase
+    transforms: tuple[Transform, ...]
+
+    @classmethod
+    def of(cls, env: EnvBase) -> PlainStep | None:
+        """The step of an environment, where plain entries are enough for it.
+
+        That holds where the base environment's ``can_step_plainly`` is True and every transform is the library's own:
+        one from elsewhere may use all that a TensorDict can do. A macro step asks once, at its first chunk, so a
+        ``_step`` that is replaced on the environment after that is not noticed.
+
+        Args:
+            env: any environment.
+
+        Returns:
+            The step; None where it needs a TensorDict.
+        """
+        layer = env
+        while isinstance(layer, TransformedEnv):
+            if type(layer)._step is not TransformedEnv._step or "_step" in vars(layer):
+                return None
+            if isinstance(layer.transform, Compose) and type(layer.transform) is not Compose:
+                return None
+            layer = layer.base_env
+        transforms = tuple(transforms_of(env))
+        ours = all(type(transform).__module__.startswith(_PACKAGE) for transform in transforms)
+        return cls(layer, transforms) if ours and attribute(layer, "can_step_plainly") else None
+
+    def __call__(self, root: StepData) -> StepData:
+        """Make the step, as ``env._step`` makes it.
+
+        Args:
+            root: of the step; it is changed.
+
+        Returns:
+            What follows.
+        """
+        for transform in reversed(self.transforms):
+            root = transform._inv_call(root)
+        following = StepData(self.base.plain_step(root), root.batch_size, root.device)
+        for transform in self.transforms:
+            following = transform._step(root, following)
+        return following

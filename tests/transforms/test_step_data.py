@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.envs import RewardSum, StepCounter, Transform, TransformedEnv
+from torchrl.envs import Compose, RewardSum, StepCounter, Transform, TransformedEnv
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaMazeEnv, PandaPushEnv
@@ -17,8 +17,8 @@ from ppt_rl.transforms import (
     JointTorqueTransform,
     MacroStepTransform,
 )
-from ppt_rl.transforms.chain import plain_step, step_inside, steps_plainly
-from ppt_rl.transforms.step_data import StepData
+from ppt_rl.transforms.chain import step_inside
+from ppt_rl.transforms.step_data import PlainStep, StepData
 from tests.engines import ONE_THREAD
 from tests.sampling import normal
 from tests.transforms.cases import CASES, control_chain, make_env, make_nested, push_env, sliding_env
@@ -111,14 +111,14 @@ def test_a_plain_step_of_an_environment_is_its_step(task, mask):
         return sliding_env(PandaMazeEnv.straight(2, duration=0.5, seed=3, engine=ONE_THREAD))
 
     one, other = make(), make()
-    assert steps_plainly(one)
+    assert PlainStep.of(one) is not None
     root = one.reset()
     other.reset()
     for _ in range(12):  # over the end of a push
         root["action"] = torch.cat([root["pose"] + 0.01, torch.zeros(2, 6)], -1)
         given = root.copy() if mask is None else root.copy().set("_step", mask)
         expected = step_inside(one, given)
-        assert_same(plain_step(other, StepData.of(given)), expected)
+        assert_same(PlainStep.of(other)(StepData.of(given)), expected)
         root = one._step_mdp(root.set("next", expected))
 
 
@@ -163,10 +163,28 @@ class Halving(PandaPushEnv):
 @pytest.mark.parametrize("foreign", [StepCounter, RewardSum, Looking])
 def test_a_transform_from_elsewhere_gets_a_tensordict(foreign: type[Transform]):
     env = push_env(2, EnergyTankTransform(), foreign())
-    assert not steps_plainly(env)
+    assert PlainStep.of(env) is None
     env = push_env(2, EnergyTankTransform(), foreign(), MacroStepTransform(3))
     td = env.reset()
     assert env.step(td.set("action", torch.zeros(2, 3, 7)))["next", "control_steps"].eq(3).all()
+
+
+class Twice(Compose):
+    """Transforms in a list from elsewhere, which does more than to apply one after the other."""
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        following = super()._step(tensordict, next_tensordict)
+        return following.set("reward", 2.0 * following["reward"])
+
+
+def test_a_list_of_transforms_from_elsewhere_is_asked_for_the_step():
+    rewards = []
+    for cls in (Compose, Twice):
+        inside = TransformedEnv(push_env(2, seed=1), cls(EnergyTankTransform()))
+        assert (PlainStep.of(inside) is None) == (cls is Twice)
+        env = TransformedEnv(inside, MacroStepTransform(3), auto_unwrap=False)
+        rewards.append(env.step(env.reset().set("action", normal(2, 3, 7)))["next", "reward"])
+    torch.testing.assert_close(rewards[1], 2.0 * rewards[0])
 
 
 def test_an_environment_that_changes_its_step_is_asked_for_it():
@@ -190,7 +208,7 @@ def test_an_environment_whose_step_was_replaced_before_its_chain_was_made_is_ask
 
 
 def test_an_environment_of_the_library_steps_plainly_alone_and_one_from_elsewhere_does_not():
-    assert steps_plainly(PandaPushEnv(1, engine=ONE_THREAD))
-    assert not steps_plainly(make_env("EnergyTankTransform", (3,)))
-    assert not steps_plainly(TransformedEnv(PandaPushEnv(1, engine=ONE_THREAD), StepCounter()))
+    assert PlainStep.of(PandaPushEnv(1, engine=ONE_THREAD)) is not None
+    assert PlainStep.of(make_env("EnergyTankTransform", (3,))) is None
+    assert PlainStep.of(TransformedEnv(PandaPushEnv(1, engine=ONE_THREAD), StepCounter())) is None
     assert JointTorqueTransform.__module__.startswith("ppt_rl.")

@@ -24,6 +24,7 @@ from ppt_rl.envs.rewards import reward_spec, total_reward, work_penalty, zero_re
 from ppt_rl.envs.specs import SpecMaker
 from ppt_rl.functional.argument_checks import require_instance, require_number, shown
 from ppt_rl.functional.checks import none_true
+from ppt_rl.functional.constants import constant
 
 __all__ = ["PushEnv", "PushGoal"]
 
@@ -218,11 +219,10 @@ class PushEnv(ArmEnv):
         }
 
     def _distances(self, box: Tensor, tool: Tensor) -> PushDistances:
-        norm = torch.linalg.vector_norm
-        episode = self._episode
+        norm, episode, place = torch.linalg.vector_norm, self._episode, box[:, :2]
         return PushDistances(
-            box_to_goal=norm(episode.goal - box[:, :2], dim=-1, keepdim=True),
-            tool_to_box=norm(tool[:, :2] - box[:, :2], dim=-1, keepdim=True),
+            box_to_goal=norm(episode.goal - place, dim=-1, keepdim=True),
+            tool_to_box=norm(tool[:, :2] - place, dim=-1, keepdim=True),
             yaw_error=_yaw_between(box[:, 3:7], episode.goal_yaw) if self.goal == "pose" else episode.initial.yaw_error,
         )
 
@@ -250,16 +250,17 @@ class PushEnv(ArmEnv):
     ) -> dict[str, Any]:
         episode = self._episode
         turned = {"goal_yaw": episode.goal_yaw, "yaw_error": distances.yaw_error} if self.goal == "pose" else {}
+        left = distances.box_to_goal / episode.initial.box_to_goal
         return turned | {
             "box_pose": box,
             "box_start": episode.box_start,
-            "box_size": 2 * episode.half,
+            "box_size": constant(2.0, episode.half) * episode.half,
             "goal": episode.goal,
             "via_phase": episode.via_phase,
             "via_position": episode.via_position,
             "via_cov": episode.via_cov,
             "via_mask": episode.via_mask,
-            "progress": (1 - distances.box_to_goal / episode.initial.box_to_goal).clamp(0.0, 1.0),
+            "progress": (constant(1.0, left) - left).clamp(0.0, 1.0),
             "success": success,
             "reward_terms": terms,
         }

@@ -13,6 +13,7 @@ from ppt_rl.envs.episodes import Episodes
 from ppt_rl.envs.limits import Bound, require_bounded_ranges
 from ppt_rl.envs.push.box import Boxes
 from ppt_rl.envs.row_generators import RowGenerators
+from ppt_rl.functional.constants import constant
 
 __all__ = ["PushDistances", "PushEpisodes", "PushRandomisation", "check_start", "draw_episodes"]
 
@@ -143,7 +144,8 @@ class PushEpisodes(Episodes):
             distances: of all environments. A box that has come 1 mm nearer to its goal counts as touched.
         """
         self.previous = distances
-        self.touched = self.touched | (distances.box_to_goal < self.initial.box_to_goal - 1e-3)
+        start = self.initial.box_to_goal
+        self.touched = self.touched | (distances.box_to_goal < start - constant(1e-3, start))
 
 
 def _put(tensor: Tensor, rows: Tensor, source: Tensor) -> Tensor:

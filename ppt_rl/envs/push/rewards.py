@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ppt_rl.envs.limits import require_weights
 from ppt_rl.functional.argument_checks import require_in_range
+from ppt_rl.functional.constants import constant
 
 __all__ = ["PushRewards", "arrival", "contact", "free_space", "pose_arrival", "progress", "turn"]
 
@@ -66,7 +67,7 @@ def progress(weights: PushRewards, *, distance: Tensor, previous: Tensor, initia
     Returns:
         ``(B, 1)`` reward, negative where the box moves away from the goal.
     """
-    return weights.progress * ((previous - distance) / initial)
+    return constant(weights.progress, distance) * ((previous - distance) / initial)
 
 
 def arrival(weights: PushRewards, *, distance: Tensor, success: Tensor, ended: Tensor, radius: float) -> Tensor:
@@ -98,7 +99,7 @@ def turn(weights: PushRewards, *, error: Tensor, previous: Tensor) -> Tensor:
     Returns:
         ``(B, 1)`` reward, negative where the box turns away from the yaw of its goal.
     """
-    return weights.turn * (previous - error)
+    return constant(weights.turn, error) * (previous - error)
 
 
 def pose_arrival(weights: PushRewards, *, distance: Tensor, error: Tensor, ended: Tensor) -> Tensor:
@@ -134,7 +135,7 @@ def free_space(weights: PushRewards, *, distance: Tensor, previous: Tensor, init
     Returns:
         ``(B, 1)`` reward, negative where the tool moves away from the box.
     """
-    return weights.free_space * ((previous - distance) / initial) * ~touched
+    return constant(weights.free_space, distance) * ((previous - distance) / initial) * ~touched
 
 
 def contact(weights: PushRewards, *, force: Tensor, dt: float) -> Tensor:
@@ -150,4 +151,5 @@ def contact(weights: PushRewards, *, force: Tensor, dt: float) -> Tensor:
     Returns:
         ``(B, 1)`` reward, zero or negative.
     """
-    return (-weights.contact * dt) * (force - weights.force_limit).clamp_min(0.0)
+    excess = (force - constant(weights.force_limit, force)).clamp_min(0.0)
+    return constant(-weights.contact * dt, force) * excess
