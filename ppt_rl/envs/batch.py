@@ -15,7 +15,7 @@ from ppt_rl.envs.audit import AuditedPhysics
 from ppt_rl.envs.hook_checks import require_observations, require_over, require_positions
 from ppt_rl.envs.lifetime import Lifetime
 from ppt_rl.envs.limits import require_count, require_device, require_real, require_within
-from ppt_rl.envs.models import remove_visual_geoms
+from ppt_rl.envs.models import remove_looks
 from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.envs.physics import EngineConfig, EngineName, Parameter, make_engine, substeps_per_control_step, write_model
 from ppt_rl.envs.rendering import RenderedScenes
@@ -93,7 +93,7 @@ class BatchedEnv(Lifetime, RenderedScenes, EnvBase):
     def _start_engine(self) -> Any:
         """Compile the scene without its looks, start the engine on it and return the compiled model."""
         root = self._scene()
-        remove_visual_geoms(root)
+        remove_looks(root)
         model = mjcf.Physics.from_mjcf_model(root).model.ptr
         audit = self.engine_config.audit
         physics = make_engine(

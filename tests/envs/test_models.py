@@ -7,7 +7,7 @@ from dm_control import mjcf
 
 from ppt_rl.arms import PANDA, UR5E
 from ppt_rl.envs import PandaEnv, PandaPushEnv
-from ppt_rl.envs.models import PADDLE, arm_model, remove_visual_geoms, table_scene
+from ppt_rl.envs.models import PADDLE, arm_model, remove_looks, table_scene
 from ppt_rl.envs.push.scene import push_scene
 from tests.engines import SPACING, bound, model_of
 
@@ -55,7 +55,7 @@ def test_no_joint_has_damping_or_dry_friction(physics_model):
 
 
 def test_gravity_is_compensated_on_arm_and_tool_but_not_on_the_box(physics_model):
-    for name in (*(f"link{i}" for i in range(8)), "tool"):
+    for name in (*(f"link{i}" for i in range(1, 8)), "tool"):
         assert physics_model.body_gravcomp[physics_model.body(name).id] == 1
     assert physics_model.body_gravcomp[physics_model.body("box").id] == 0
     assert physics_model.opt.gravity.tolist() == [0, 0, -9.81]
@@ -87,8 +87,9 @@ def test_no_scene_needs_a_file(scene):
     assert "file=" not in root.to_xml_string()
 
 
-def test_what_is_simulated_has_no_meshes_materials_and_textures(physics_model):
-    assert (physics_model.nmesh, physics_model.nmat, physics_model.ntex) == (0, 0, 0)
+def test_what_is_simulated_has_nothing_that_only_pictures_show(physics_model):
+    found = [physics_model.nmesh, physics_model.nmat, physics_model.ntex, physics_model.ncam, physics_model.nlight]
+    assert found == [0] * 5
 
 
 @pytest.mark.parametrize("arm", [PANDA, UR5E], ids=lambda arm: arm.name)
@@ -96,7 +97,7 @@ def test_looks_change_no_trajectory(arm):
     """The same torques on what pictures show, on what is simulated, and on an arm that has no shells at all."""
     full, bare, plain = push_scene(arm), push_scene(arm), push_scene(replace(arm, shells=()))
     for root in (bare, plain):
-        remove_visual_geoms(root)
+        remove_looks(root)
     models = [compiled(root) for root in (full, bare, plain)]
     assert (models[1].nbody, models[1].ngeom) == (models[2].nbody, models[2].ngeom)
     assert models[0].nbody == models[1].nbody
@@ -122,7 +123,7 @@ def test_every_simulated_geom_can_collide(env_class):
 
 def test_removing_visual_geoms_changes_no_mass_and_no_contact_geometry():
     looks, bare = push_scene(PANDA), push_scene(PANDA)
-    remove_visual_geoms(bare)
+    remove_looks(bare)
     full, stepped = compiled(looks), compiled(bare)
     assert stepped.ngeom < full.ngeom
     moving = stepped.body_weldid != 0

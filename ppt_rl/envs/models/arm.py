@@ -12,7 +12,7 @@ from ppt_rl.envs.mujoco_imports import mjcf
 from ppt_rl.functional.argument_checks import require_numbers
 from ppt_rl.functional.checks import require_positive
 
-__all__ = ["CYLINDER", "PADDLE", "Tool", "arm_model", "attach_tool", "remove_visual_geoms"]
+__all__ = ["CYLINDER", "PADDLE", "Tool", "arm_model", "attach_tool", "remove_looks"]
 
 #: Colours of the tool, and of what joins it to the flange and shows the end-effector point.
 _TOOL, _BRIGHT = (0.13, 0.36, 0.68, 1.0), (0.93, 0.94, 0.95, 1.0)
@@ -85,13 +85,13 @@ def arm_model(arm: Arm) -> Any:
         arm: the arm.
 
     Returns:
-        A ``dm_control.mjcf.RootElement``. Its bodies are ``link0`` (the base) to ``link{n}`` (which carries the
-        flange). Joints ``joint{i}``, motors ``motor{i}`` and sensors ``joint_position{i}`` and ``joint_velocity{i}``
-        are counted from 1.
+        A ``dm_control.mjcf.RootElement``. Its bodies are ``link1`` to ``link{n}`` (which carries the flange); the base
+        does not move, so it belongs to the world. Joints ``joint{i}``, motors ``motor{i}`` and sensors
+        ``joint_position{i}`` and ``joint_velocity{i}`` are counted from 1.
     """
     root = mjcf.RootElement(model=arm.name)
     root.compiler.angle = "radian"
-    parent = root.worldbody.add("body", name="link0", gravcomp=1)
+    parent = root.worldbody
     _add_shells(root, parent, arm, 0)
     for i, (offset, link) in enumerate(zip(arm.chain.offsets, arm.links, strict=True), start=1):
         parent = parent.add(
@@ -118,10 +118,11 @@ def _orientation(twist: float, turn: float) -> list[float]:
     return [cx * cz, sx * cz, -sx * sz, cx * sz]
 
 
-def remove_visual_geoms(root: Any) -> None:
-    """Remove every geom that cannot collide, with the meshes, materials and textures; what remains moves alike.
+def remove_looks(root: Any) -> None:
+    """Remove what only pictures show; what remains moves alike.
 
-    Moving them along would take a quarter of the time of the physics, and every environment has a copy of the model.
+    That is every geom that cannot collide, with the meshes, materials and textures, the cameras and the lights. To move
+    them along would take a quarter of the time of the physics, and every environment has a copy of the model.
 
     Args:
         root: the model, changed in place.
@@ -129,9 +130,9 @@ def remove_visual_geoms(root: Any) -> None:
     for geom in root.find_all("geom"):
         if geom.contype == 0 and geom.conaffinity == 0:
             geom.remove()
-    for kind in ("mesh", "material", "texture"):
-        for asset in root.find_all(kind):
-            asset.remove()
+    for kind in ("mesh", "material", "texture", "camera", "light"):
+        for element in root.find_all(kind):
+            element.remove()
 
 
 def attach_tool(root: Any, arm: Arm, tool: Tool) -> Any:

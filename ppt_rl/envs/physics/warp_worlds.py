@@ -88,9 +88,7 @@ class Worlds:
         with self.on_stream():
             self._model = self._mjw.put_model(model, batch_sizes=dict.fromkeys(sorted(fields), num_worlds))
             self._model.opt.warn_overflow = False  # an overflow is an event of its world, not a message
-            if not model.dof_damping.any() and "dof_damping" not in written:
-                # MuJoCo leaves the implicit damping out where there is none. Warp solves for it in every step.
-                self._model.opt.disableflags |= int(self._mjw.DisableBit.EULERDAMP)
+            self._model.opt.disableflags |= self._superfluous(model)
             self._data = self._mjw.make_data(model, nworld=num_worlds, nconmax=_SPARE * contacts, njmax=rows)
         data, view = self._data, self._wp.to_torch
         self.state = [view(value) for value in (data.time, data.qpos, data.qvel, data.qacc_warmstart)]
@@ -101,6 +99,19 @@ class Worlds:
         fixed = model.geom_bodyid == 0 if moved else []
         self._fixed = torch.as_tensor(fixed, device=device).nonzero().squeeze(-1)
         self._lost = self._bits_of_loss()
+
+    def _superfluous(self, model: Any) -> int:
+        """What no joint or tendon has, which MuJoCo leaves out by itself, while Warp launches kernels for it."""
+
+        def everywhere_zero(*fields: str) -> bool:
+            return not any(getattr(model, field).any() or field in self.written for field in fields)
+
+        kinds, off = self._mjw.DisableBit, 0
+        if everywhere_zero("dof_damping", "dof_dampingpoly"):
+            off |= int(kinds.EULERDAMP)
+        if everywhere_zero("dof_frictionloss", "tendon_frictionloss"):
+            off |= int(kinds.FRICTIONLOSS)
+        return off
 
     def _bits_of_loss(self) -> int:
         """The kinds of overflow that make a step wrong; a solver that stops early does not."""

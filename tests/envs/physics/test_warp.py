@@ -13,7 +13,7 @@ from dm_control import mjcf
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs import EngineConfig, MazeEnv, PushEnv
-from ppt_rl.envs.models import remove_visual_geoms
+from ppt_rl.envs.models import remove_looks
 from ppt_rl.envs.physics import Parameter, ThreadedPhysics, WarpPhysics, warp_worlds
 from ppt_rl.envs.push.scene import push_scene
 
@@ -26,7 +26,7 @@ LIMITS = torch.tensor(PANDA.joints.torque_limits, dtype=torch.float64)
 
 def model():
     root = push_scene(PANDA)
-    remove_visual_geoms(root)
+    remove_looks(root)
     return mjcf.Physics.from_mjcf_model(root).model.ptr
 
 
@@ -96,11 +96,12 @@ def test_a_reset_and_one_substep_agree_with_mujoco_to_a_hundred_thousandth():
     assert difference(after[:, speeds], expected[:, speeds]) < 1e-5
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.5], ids=["smooth", "rough"])
 @pytest.mark.parametrize("damping", [0.0, 20.0], ids=["undamped", "damped"])
-def test_joints_with_and_without_damping_move_as_mujoco_moves_them(damping):
-    damped = model()
-    damped.dof_damping[:7] = damping
-    ours, theirs = WarpPhysics(damped, 4, 20, CPU, written=WRITTEN), ThreadedPhysics(damped, 4, 20, 1)
+def test_joints_with_and_without_damping_and_friction_move_as_mujoco_moves_them(damping, friction):
+    joints = model()
+    joints.dof_damping[:7], joints.dof_frictionloss[:7] = damping, friction
+    ours, theirs = WarpPhysics(joints, 4, 20, CPU, written=WRITTEN), ThreadedPhysics(joints, 4, 20, 1)
     begun(ours, 0.2), begun(theirs, 0.2)
     (control,) = controls(4, 1, share=0.5)
     speeds = slice(7, 14)  # of the joints

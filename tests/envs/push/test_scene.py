@@ -10,7 +10,7 @@ from dm_control import mjcf
 
 from ppt_rl.arms import PANDA
 from ppt_rl.envs import PandaPushEnv, PushRandomisation
-from ppt_rl.envs.models import remove_visual_geoms
+from ppt_rl.envs.models import remove_looks
 from ppt_rl.envs.push.scene import push_scene
 from tests.engines import SPACING, bound, model_of, models_of, on_warp
 from tests.envs.scenes import forwarded
@@ -51,7 +51,7 @@ def test_a_randomised_model_equals_one_compiled_with_the_same_numbers():
     for model in models_of(env):
         half, mass = float(model.geom("box").size[0]), float(model.body("box").mass[0])
         root = push_scene(PANDA, half_size=half, mass=mass)
-        remove_visual_geoms(root)
+        remove_looks(root)
         fresh = compiled(root)
         fresh.geom("box").friction[0] = model.geom("box").friction[0]
         mujoco.mj_setConst(fresh, mujoco.MjData(fresh))
