@@ -25,14 +25,16 @@ def constant(value: float, like: Tensor) -> Tensor | float:
         like: the tensor that it meets.
 
     Returns:
-        A tensor without dimensions in the precision of ``like``, which nobody may change. On a GPU, and where nothing
-        is computed yet (``torch.compile``, ``torch.func``), the number itself.
+        A tensor without dimensions in the precision of ``like``, which nobody may change. The number itself on a GPU,
+        for a subclass of tensor, and where nothing is computed yet (``torch.compile``, ``torch.func``).
     """
     is_minus_zero = value == 0 and math.copysign(1.0, value) < 0  # equal to zero, so it would find zero's tensor
-    return value if is_minus_zero or not is_readable(like) else _tensor(value, like.dtype)
+    if is_minus_zero or type(like) is not Tensor or not is_readable(like):
+        return value
+    return _tensor(value, like.dtype)
 
 
 @lru_cache(maxsize=1024)
 def _tensor(value: float, dtype: torch.dtype) -> Tensor:
     with torch.inference_mode(False):  # used outside of it too
-        return torch.tensor(value, dtype=dtype)
+        return torch.tensor(value, dtype=dtype, device="cpu")

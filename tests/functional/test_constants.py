@@ -7,6 +7,7 @@ import operator
 
 import pytest
 import torch
+from torch._subclasses.fake_tensor import FakeTensorMode
 
 from ppt_rl.functional.constants import constant
 from tests.sampling import normal
@@ -61,3 +62,12 @@ def test_where_nothing_is_computed_yet_it_is_the_number_itself():
     torch.func.jvp(law, (torch.ones(2),), (torch.ones(2),))
     assert seen == [2.5, 2.5, 2.5]
     assert torch.func.grad(torch.func.grad(lambda x: (x * constant(2.5, x)) ** 2))(torch.tensor(1.0)) == 12.5
+
+
+def test_neither_a_default_device_nor_tensors_without_values_reach_what_is_kept():
+    value = torch.ones(2)
+    with torch.device("meta"):
+        assert (value * constant(0.7, value)).tolist() == pytest.approx([0.7, 0.7])
+    with FakeTensorMode():
+        assert constant(0.8, torch.ones(2)) == 0.8
+    assert (value * constant(0.8, value)).tolist() == pytest.approx([0.8, 0.8])
