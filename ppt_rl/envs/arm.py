@@ -91,7 +91,8 @@ class ArmEnv(BatchedEnv):
         self._kinematics = Kinematics(arm, self.tool_length, dtype=torch.float64).to(self.place)
         self._readings = ArmReadings(model, dtype, self.place)
         self._prepare(model)
-        self._torque_limit = torch.tensor(arm.joints.torque_limits, dtype=torch.float64, device=self.place)
+        limit = torch.tensor(arm.joints.torque_limits, dtype=torch.float64, device=self.place)
+        self._torque_bounds = -limit, limit
         self._make_specs()
         self.set_seed(seed)
 
@@ -113,7 +114,7 @@ class ArmEnv(BatchedEnv):
         self.observation_spec.update(self._task_spec(make))
         if self.engine_config.audit:
             self.observation_spec["audit"] = make.nest(**{name: real(1) for name in AUDITED})
-        limit = self._torque_limit.to(self.dtype).to(self.device).expand(self.num_envs, count)
+        limit = self._torque_bounds[1].to(self.dtype).to(self.device).expand(self.num_envs, count)
         self.action_spec = Bounded(-limit, limit, shape=limit.shape, dtype=self.dtype, device=self.device)
         self.reward_spec = real(1)
         self.done_spec = make.nest(done=flag(), terminated=flag(), truncated=flag())
@@ -139,7 +140,7 @@ class ArmEnv(BatchedEnv):
         torque = action.detach().to(self.place, torch.float64)
         if is_readable(torque):  # elsewhere nothing may wait for an answer, and such an environment diverges
             require_finite("action (joint torque)", torque if mask is None else torque[mask])
-        return torque.clamp(-self._torque_limit, self._torque_limit)
+        return torque.clamp(*self._torque_bounds)
 
     def _observation(self) -> dict[str, Any]:
         observation: dict[str, Any] = self._readings.observe(self._sensors)

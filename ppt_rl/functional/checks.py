@@ -171,7 +171,7 @@ def _without_gradient(value: Tensor) -> Tensor:
 
 def _is_traced() -> bool:
     """Whether this runs inside ``torch.compile`` or ``torch.vmap``, where nothing may depend on a value."""
-    return torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None
+    return torch._C._functorch.peek_interpreter_stack() is not None or torch.compiler.is_compiling()
 
 
 def are_finite(value: Tensor) -> bool:

@@ -81,7 +81,8 @@ class Kinematics(nn.Module):
 
     def _follow_anchor(self) -> None:
         """Build the constants anew where the module was moved or its precision changed."""
-        if self._offsets.dtype != self._anchor.dtype or self._offsets.device != self._anchor.device:
+        anchor, offsets = self._anchor, self._offsets
+        if offsets.dtype != anchor.dtype or offsets.device != anchor.device:
             self._build()
 
     def forward(self, joint_position: Tensor) -> tuple[Tensor, Tensor]:
@@ -196,7 +197,7 @@ class Kinematics(nn.Module):
         require_last_dim("joint_position", joint_position, count)
         self._follow_anchor()
         batch = joint_position.shape[:-1]
-        frames = self._frames(joint_position.reshape(-1, count).to(self._anchor.dtype))
+        frames = self._frames(joint_position.reshape(-1, count).to(self._offsets.dtype))
         tip, joints = frames[-1], frames[:-1, :, :3]  # (B, 4, 4) and (n, B, 3, 4)
         _, _, axis, origin = joints.unbind(-1)
         linear = torch.linalg.cross(axis, tip[:, :3, 3] - origin)

@@ -100,11 +100,13 @@ class EpisodeLevelConfig(PushConfig):
     residual_yaw: float = 0.4
     initial_scale: float = 0.3
 
-    # An episode is one policy step, so a batch of more environments is larger, and each update may go further.
+    # A GPU takes as long for 2,048 episodes as for a few, so what counts is the number of updates. An episode is one
+    # policy step: the advantages of so many are known well, and each update may go far (results/gpu/README.md).
     presets: ClassVar[dict[str, dict[str, str]]] = {
         "gpu": {
-            "device": "cuda", "num_envs": "2048", "validate_every": "4", "validation_episodes": "512",
-            "ppo.minibatches": "8", "ppo.target_kl": "0.06", "ppo.total_control_steps": "6144000",
+            "device": "cuda", "num_envs": "2048", "validate_every": "2", "validation_episodes": "512",
+            "ppo.epochs": "12", "ppo.minibatches": "8", "ppo.clip": "0.4", "ppo.target_kl": "0.6",
+            "ppo.learning_rate": "2e-3", "ppo.max_learning_rate": "1e-2", "ppo.total_control_steps": "3686400",
         }
     }  # fmt: skip
 
