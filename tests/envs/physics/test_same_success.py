@@ -15,7 +15,7 @@ EPISODES = 64
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ppt_push", "st_push"])
 def test_a_published_policy_pushes_as_well_on_both_engines(name: str):
-    """Contact makes single episodes differ, more so for a policy that acts at every step, but not what comes of them."""
+    """Contact makes single episodes differ, more so with a policy that acts at each step, but not what comes of it."""
     pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed: pip install 'ppt_rl[gpu]'")
     rows = []
     for engine in ("threads", "warp"):
