@@ -100,8 +100,8 @@ class EpisodeLevelConfig(PushConfig):
     residual_yaw: float = 0.4
     initial_scale: float = 0.3
 
-    # A GPU takes as long for 2,048 episodes as for a few, so what counts is the number of updates. An episode is one
-    # policy step: the advantages of so many are known well, and each update may go far (results/gpu/README.md).
+    # A GPU takes little longer for thousands of episodes than for hundreds, so what counts is the number of updates. An
+    # episode is one policy step: so many say well what to improve, and each update may go far (results/gpu/README.md).
     presets: ClassVar[dict[str, dict[str, str]]] = {
         "gpu": {
             "device": "cuda", "num_envs": "2048", "validate_every": "2", "validation_episodes": "512",
