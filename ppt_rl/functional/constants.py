@@ -14,11 +14,11 @@ __all__ = ["constant"]
 
 
 def constant(value: float, like: Tensor) -> Tensor | float:
-    """A number as an operand for a tensor, ``constant(2.0, x) * x``, with the same result as the number itself.
+    """A number as an operand for a tensor: ``constant(2.0, x) * x``.
 
-    (Only a number divided by a tensor is another thing: torch rounds that twice, since it takes the reciprocal first.)
     torch makes a tensor of a Python number at every operation, which takes as long as the operation itself on a few
-    entries. A control step of one environment has about thirty, so here each number becomes a tensor once.
+    entries. A control step of one environment has about thirty, so here each number becomes a tensor once. The result
+    is the same to the bit, but for a number that is divided by a tensor: there torch multiplies with the reciprocal.
 
     Args:
         value: the number.

@@ -92,6 +92,18 @@ def test_what_is_simulated_has_nothing_that_only_pictures_show(physics_model):
     assert found == [0] * 5
 
 
+def test_a_camera_that_a_sensor_reads_stays():
+    root = push_scene(PANDA)
+    camera = root.worldbody.add("camera", name="eye", pos=(0.1, 0.2, 0.3))
+    root.sensor.add("framepos", name="eye_position", objtype="camera", objname=camera)
+    remove_looks(root)
+    stepped = compiled(root)
+    data = mujoco.MjData(stepped)
+    mujoco.mj_forward(stepped, data)
+    assert stepped.ncam == 1
+    np.testing.assert_array_equal(data.sensor("eye_position").data, (0.1, 0.2, 0.3))
+
+
 @pytest.mark.parametrize("arm", [PANDA, UR5E], ids=lambda arm: arm.name)
 def test_looks_change_no_trajectory(arm):
     """The same torques on what pictures show, on what is simulated, and on an arm that has no shells at all."""

@@ -122,7 +122,8 @@ def remove_looks(root: Any) -> None:
     """Remove what only pictures show; what remains moves alike.
 
     That is every geom that cannot collide, with the meshes, materials and textures, the cameras and the lights. To move
-    them along would take a quarter of the time of the physics, and every environment has a copy of the model.
+    them along would take a quarter of the time of the physics, and every environment has a copy of the model. A camera
+    that a sensor reads stays.
 
     Args:
         root: the model, changed in place.
@@ -130,9 +131,11 @@ def remove_looks(root: Any) -> None:
     for geom in root.find_all("geom"):
         if geom.contype == 0 and geom.conaffinity == 0:
             geom.remove()
+    read = {id(value) for sensor in root.find_all("sensor") for value in sensor.get_attributes().values()}
     for kind in ("mesh", "material", "texture", "camera", "light"):
         for element in root.find_all(kind):
-            element.remove()
+            if id(element) not in read:
+                element.remove()
 
 
 def attach_tool(root: Any, arm: Arm, tool: Tool) -> Any:

@@ -101,7 +101,7 @@ class Worlds:
         self._lost = self._bits_of_loss()
 
     def _superfluous(self, model: Any) -> int:
-        """What no joint or tendon has, which MuJoCo leaves out by itself, while Warp launches kernels for it."""
+        """Flags that leave out what no joint or tendon has. MuJoCo does so by itself, but Warp launches its kernels."""
 
         def everywhere_zero(*fields: str) -> bool:
             return not any(getattr(model, field).any() or field in self.written for field in fields)
