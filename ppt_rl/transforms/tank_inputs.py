@@ -118,7 +118,7 @@ def require_law(mode: str, law: Callable[..., Any]) -> None:
 
 
 def require_result(mode: str, law: Callable[..., Any], step: Any, energy: Tensor, e_max: float) -> EnergyTankStep:
-    """Raise unless a law returned what it should; the laws of this library are proven, and not looked at.
+    """Raise unless a law returned what it should; the laws of this library are not checked, since they are proven.
 
     Args:
         mode: its name.

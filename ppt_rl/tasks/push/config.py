@@ -101,7 +101,7 @@ class EpisodeLevelConfig(PushConfig):
     initial_scale: float = 0.3
 
     # A GPU takes little longer for thousands of episodes than for hundreds, so what counts is the number of updates. An
-    # episode is one policy step: so many say well what to improve, and each update may go far (results/gpu/README.md).
+    # episode is one policy step: that many give a good gradient, and each update may go far (results/gpu/README.md).
     presets: ClassVar[dict[str, dict[str, str]]] = {
         "gpu": {
             "device": "cuda", "num_envs": "2048", "validate_every": "2", "validation_episodes": "512",
